@@ -4,6 +4,7 @@ Imports of the stages are inside the commands, so that ``tacgen --help`` is fast
 only affects the commands that need it.
 """
 
+import io
 import logging
 import signal
 import sys
@@ -16,6 +17,7 @@ import tacgen.core.rare_collections  # noqa: F401
 # Importing a module of commands registers them.
 from tacgen.cli import calibrate, cluster, datasets, diagnose, learning, machine, objects, recipes  # noqa: F401
 from tacgen.cli.common import app
+from tacgen.core.disk import disk_message
 from tacgen.core.errors import Interrupted, TacgenError
 from tacgen.core.progress import LOG
 
@@ -28,14 +30,16 @@ def main() -> None:
         signal.signal(number, _interrupt)
     signal.signal(signal.SIGALRM, _interrupt)
     sys.unraisablehook = _raise_again
+    for stream in (sys.stdout, sys.stderr):  # whatever the locale: "mm³" is not in all of them
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(encoding="utf-8", errors="surrogateescape")
     try:
         app()
     except TacgenError as error:
         _stop(str(error), error.exit_code)
     except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        fix = "check the path, its permissions and the free space"
-        _stop(f"{where}{error.strerror or error}; {fix}", TacgenError.exit_code)
+        fix = "check the path and its permissions"
+        _stop(disk_message(error, error.filename or "", fix), TacgenError.exit_code)
     except Interrupted:
         _stop("interrupted; finished work is kept", 130)
 

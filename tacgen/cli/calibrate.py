@@ -9,6 +9,7 @@ from typer import Argument, Option
 
 from tacgen.cli import common
 from tacgen.cli.common import quoted
+from tacgen.core.files import refuse_existing
 
 ReportOption = Annotated[Path | None, Option(help="Folder for a report (HTML).")]
 TableOutput = Annotated[Path, Option("--out", help="Table file to write (table.npz).")]
@@ -73,7 +74,7 @@ def calibrate_lookup(
     from tacgen.calibrate.lookup import command
     from tacgen.sensor.description import shipped_sensor
 
-    common.refuse_existing(force, out)
+    refuse_existing(force, out)
     made, used = command.calibrate_lookup(
         presses, out, report, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm,
         without_dots=without_dots,
@@ -122,7 +123,7 @@ def calibrate_import(
     """Convert a Taxim calibration into a table that renders the same images."""
     from tacgen.calibrate.lookup.taxim_import import convert_polycalib
 
-    common.refuse_existing(force, out)
+    refuse_existing(force, out)
     table = convert_polycalib(polycalib, background, mm_per_px, out)
     typer.echo(str(out))
     common.hand_over(*common.table_lines(out, table.shape_px, mm_per_px))
@@ -169,7 +170,7 @@ def calibrate_contact(
 
     log_format = LogFormat.of_options(column or [], flip or [], force_unit)
     measured = out.with_suffix(".csv") if log.is_dir() else log
-    common.refuse_existing(force, out, *([measured] if measured != log else []))
+    refuse_existing(force, out, *([measured] if measured != log else []))
     result = calibrate(
         log, out, report, by=by, contact_point=contact_point, log_format=log_format,
         marker_pitch_mm=math.nan if marker_pitch_mm is None else marker_pitch_mm,
@@ -264,8 +265,7 @@ def rig(
     loaded = load_rig_recipe(recipe)
     if seed is not None:
         loaded = loaded.model_copy(update={"seed": seed})
-    common.refuse_existing(force, out / "truth.yaml")
-    for path in run_rig(loaded, out):
+    for path in run_rig(loaded, out, force=force):
         typer.echo(str(path))
     commands = {
         "images": [f"tacgen calibrate lookup {quoted(out)}/presses --out table.npz"],

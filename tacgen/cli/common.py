@@ -12,7 +12,6 @@ import typer
 from typer import Argument, Option
 from typer.core import TyperGroup
 
-from tacgen.core.errors import DatasetError
 from tacgen.core.progress import LOG, is_quiet
 from tacgen.core.resources import object_folders, packaged
 from tacgen.core.workers import available_cores
@@ -260,11 +259,3 @@ def table_lines(
     if presses is not None and (sensor := session_sensor(presses)) is not None:
         return [IN_RECIPE, f"sensor: {{name: {sensor}, table: {path}}}"]
     return sensor_lines(path, shape_px, mm_per_px, dome_radius_mm)
-
-
-def refuse_existing(force: bool, *paths: Path) -> None:
-    """Raise a ``DatasetError`` if one of ``paths`` exists and not ``force``."""
-    there = [path for path in paths if path.exists()]
-    if there and not force:
-        msg = f"{there[0]}: exists already; pass --force to replace it, or another --out"
-        raise DatasetError(msg)

@@ -10,6 +10,7 @@ from typer import Option
 
 from tacgen.cli import common
 from tacgen.cli.common import quoted
+from tacgen.core.files import refuse_existing
 
 
 @common.app.command(rich_help_panel=common.DATASETS)
@@ -39,6 +40,7 @@ def collect(
     from tacgen.collection.recipe import load_recipe
     from tacgen.collection.run import collect as run
     from tacgen.collection.run import describe
+    from tacgen.core.errors import VerificationError
     from tacgen.dataset.summary import none_executed, not_executed_lines, summarize
     from tacgen.dataset.verify import verify as check
 
@@ -51,7 +53,8 @@ def collect(
         return
     if parts > 1:
         typer.echo(f"part {part} of {parts} ({origin}): {len(share)} shards", err=True)
-    redo = [number for number in check(out).bad_shards if number in share] if repair else []
+    found = check(out) if repair else None
+    redo = [number for number in found.bad_shards if number in share] if found else []
     result = run(
         loaded, out, workers=workers, shards=share, redo=redo, grow=grow,
         item_limit_s=grasp_limit_s, progress=not json_output,
@@ -59,6 +62,8 @@ def collect(
     common.print_record(result.summary(), json_output)
     if not share:
         typer.echo(f"nothing to do: part {part} of {parts} has no shard", err=True)
+    if found and found.foreign:
+        raise VerificationError.from_problems([f"{out}/{line}" for line in found.foreign])
     if not (result.made or result.found):
         return
     summary = summarize(out)
@@ -113,7 +118,7 @@ def compare_engines(
     loaded = load_recipe(recipe)
     table, record = (Path(out or "") / name for name in ("grasps.csv", "comparison.json"))
     if out:
-        common.refuse_existing(force, table, record)
+        refuse_existing(force, table, record)
         out.mkdir(parents=True, exist_ok=True)
     with progress_counter("grasp") as show:
         found = engines.compare_engines(loaded, workers=workers, show=show)
@@ -270,7 +275,7 @@ def render(
     from tacgen.collection.grasp_gif import write_gif
     from tacgen.collection.recipe import load_recipe
 
-    common.refuse_existing(force, out)
+    refuse_existing(force, out)
     outcome = write_gif(load_recipe(recipe), grasp, out)
     typer.echo(f"{out}: grasp {grasp}, {outcome}")
     common.hand_over(f"tacgen collect {quoted(recipe)} --out data")

@@ -10,6 +10,7 @@ from typer import Argument, Option
 
 from tacgen.cli import common
 from tacgen.cli.common import quoted
+from tacgen.core.files import refuse_existing
 
 if TYPE_CHECKING:
     from tacgen.diagnose.contact.result import Diagnosis
@@ -58,7 +59,7 @@ def diagnose_contact(
 
     log_format = LogFormat.of_options(column or [], flip or [], force_unit)
     proposals, loaded_rig = out / "next_presses.csv", None
-    common.refuse_existing(force, out / "diagnosis.json", proposals)
+    refuse_existing(force, out / "diagnosis.json", proposals)
     if rig is not None:
         from tacgen.rig import load_rig_recipe
 
@@ -121,7 +122,7 @@ def diagnose_optics(
     """Find the optical effects that explain a table's image residuals on ball presses."""
     from tacgen.diagnose.optics.command import diagnose_presses
 
-    common.refuse_existing(force, out / "diagnosis.json")
+    refuse_existing(force, out / "diagnosis.json")
     diagnosis, used = diagnose_presses(
         presses, out, table_path=table, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm
     )

@@ -27,11 +27,12 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Submission:
-    """Jobs handed over by one ``tacgen submit``; ``host`` is where that was."""
+    """Jobs handed over by one ``tacgen submit``; ``host`` is where that was, ``user`` by whom."""
 
     executor: str
     host: str
     tasks: tuple[Task, ...]
+    user: str = ""  # its number; not recorded by earlier versions
 
 
 @dataclass(frozen=True, slots=True)

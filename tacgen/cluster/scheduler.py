@@ -1,5 +1,6 @@
 """The jobs that a scheduler has in its queue at the moment."""
 
+import os
 import re
 import shutil
 import socket
@@ -24,17 +25,19 @@ def live_jobs(submissions: Iterable[Submission]) -> dict[str, tuple[str, str]] |
     """
     live: dict[str, tuple[str, str]] = {}
     slurm_ids: set[str] = set()
+    users: set[str] = set()
     for submission in submissions:
         ids = [task.job_id for task in submission.tasks]
         if submission.executor == "slurm":
             slurm_ids.update(job_id.split("_")[0] for job_id in ids)
+            users.add(submission.user or str(os.getuid()))
         elif submission.host != socket.gethostname():
             return None
         else:
             live.update({job_id: ("running", "") for job_id in ids if _is_ours(job_id)})
     if slurm_ids and shutil.which("squeue") is None:
         return None
-    return live | (_slurm_jobs() if slurm_ids else {})
+    return live | (_slurm_jobs(users) if slurm_ids else {})
 
 
 def site_array_limit() -> int:
@@ -43,9 +46,10 @@ def site_array_limit() -> int:
     return max(1, int(found[1])) if found else _DEFAULT_MAX_ARRAY
 
 
-def _slurm_jobs() -> dict[str, tuple[str, str]]:
-    # All of the user's jobs: asking for single ids fails as soon as one of them is forgotten.
-    text = _ask(["squeue", "--me", "--noheader", "--array", "--format=%i|%T|%r"])
+def _slurm_jobs(users: Iterable[str]) -> dict[str, tuple[str, str]]:
+    # All of the users' jobs: asking for single ids fails as soon as one of them is forgotten.
+    whose = f"--user={','.join(sorted(users))}"
+    text = _ask(["squeue", whose, "--noheader", "--array", "--format=%i|%T|%r"])
     jobs = {}
     for line in text.splitlines():
         job_id, state, reason = line.strip().split("|", 2)

@@ -27,7 +27,9 @@ from tacgen.cluster.states import ALIVE, DatasetStatus, TaskState, job_states, s
 from tacgen.collection.recipe import Cluster, Recipe
 from tacgen.collection.run import collect, prepare
 from tacgen.core.errors import ClusterError, TacgenError
+from tacgen.core.lock import locked
 from tacgen.core.optional_dependencies import missing_extra
+from tacgen.core.progress import print_status
 
 EXECUTORS = ("local", "slurm")
 COMMANDS = ("friction", "train")  # long commands that write into ``--out`` and, run again, resume
@@ -97,6 +99,11 @@ def submit(
     """
     require_executor(executor)
     prepare(recipe, out, grow=grow)
+    with _one_at_a_time(out):
+        return _submit(recipe, out, executor, failed_only=failed_only)
+
+
+def _submit(recipe: Recipe, out: Path, executor: str, *, failed_only: bool) -> Submitted:
     found = status(out)
     if not failed_only and (alive := _alive(found.tasks)):
         msg = (
@@ -124,6 +131,18 @@ def submit(
     return Submitted(str(folder), executor, len(shards), jobs, -(-len(jobs) // limit))
 
 
+@contextlib.contextmanager
+def _one_at_a_time(out: Path) -> Iterator[None]:
+    """Keep a second submission from finding that there is none yet."""
+    jobs = JobsFolder(out).root
+    jobs.mkdir(parents=True, exist_ok=True)
+    with locked(jobs / ".lock") as held:
+        if held is False:
+            msg = f"{out}: is being submitted by another process; see `tacgen status {out}`"
+            raise ClusterError(msg)
+        yield
+
+
 def wait_for(root: Path) -> DatasetStatus:
     """Wait until no job of the dataset runs or waits."""
     while (found := status(root)).alive:
@@ -148,6 +167,17 @@ def submit_command(
     """
     require_command(command)
     require_executor(executor)
+    with _one_at_a_time(out):
+        return _submit_command(command, out, run, executor, cluster)
+
+
+def _submit_command(
+    command: Sequence[str],
+    out: Path,
+    run: Callable[[Sequence[str]], None],
+    executor: str,
+    cluster: Cluster,
+) -> Submitted:
     if alive := _alive(job_states(out)):
         msg = f"{out}: job {alive} still runs or waits; wait for it (`tacgen status {out}`)"
         raise ClusterError(msg)
@@ -216,7 +246,7 @@ def _hand_over(tasks: Sequence[Job], folder: Path, engine: Any, limit: int) -> t
                 Task(start + k, job.job_id, task.shards)
                 for k, (job, task) in enumerate(zip(jobs, batch, strict=True))
             ]
-            record = Submission(executor, host, tuple(recorded))
+            record = Submission(executor, host, tuple(recorded), str(os.getuid()))
             write_record(folder / "submission.json", record)
     return tuple(task.job_id for task in recorded)
 
@@ -228,6 +258,10 @@ def _engine(folder: Path, executor: str, cluster: Cluster, name: str) -> Any:
         here = submitit.LocalExecutor(folder)
         here.update_parameters(timeout_min=_A_WEEK_MIN, setup=list(cluster.setup))
         return here
+    if cluster.time_min * 60 <= 2 * SIGNAL_DELAY_S:
+        limit = f"a time limit of {cluster.time_min} min"
+        fix = f"jobs are told to stop {SIGNAL_DELAY_S} s before it; give cluster.time_min more"
+        print_status(f"warning: {limit} leaves hardly any time to work: {fix}")
     slurm = submitit.SlurmExecutor(folder, max_num_timeout=cluster.max_timeouts)
     slurm.update_parameters(**slurm_parameters(cluster, name))
     return slurm

@@ -1,6 +1,8 @@
 """Files that appear whole or not at all, and hashes of what is on disk."""
 
 import contextlib
+import functools
+import glob
 import hashlib
 import json
 import os
@@ -10,7 +12,8 @@ import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from tacgen.core.errors import TacgenError
+from tacgen.core.errors import DatasetError, TacgenError
+from tacgen.core.lock import locked
 
 
 @contextlib.contextmanager
@@ -18,10 +21,11 @@ def atomic_path(path: Path) -> Iterator[Path]:
     """Yield a temporary name beside ``path``; renamed to it on success, removed on failure.
 
     The content is flushed to disk before the rename, so that after a power loss ``path`` is
-    either the old file or the whole new one.
+    either the old file or the whole new one. An ``OSError`` without a file's name gets this one.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
+    _remove_abandoned(path.parent)
     # Host and process: two machines that share the folder may share process numbers.
     partial = path.with_name(f".{path.name}.{socket.gethostname()}.{os.getpid()}.part")
     try:
@@ -29,31 +33,59 @@ def atomic_path(path: Path) -> Iterator[Path]:
         sync_file(partial)
         os.replace(partial, path)
         sync_file(path.parent)
+    except OSError as error:
+        if error.errno and (error.filename is None or Path(error.filename) == partial):
+            error.filename = str(path)
+        raise
     finally:
         partial.unlink(missing_ok=True)
+
+
+@functools.cache
+def _remove_abandoned(folder: Path) -> None:
+    """Remove the temporary files in ``folder`` of processes of this machine that are gone."""
+    for partial in folder.glob(f".*.{glob.escape(socket.gethostname())}.*.part"):
+        digits = partial.name.split(".")[-2]
+        try:
+            os.kill(int(digits), 0)
+        except ProcessLookupError:
+            partial.unlink(missing_ok=True)
+        except (OSError, ValueError, OverflowError):
+            continue
 
 
 @contextlib.contextmanager
 def atomic_folder(path: Path) -> Iterator[Path]:
     """Yield an empty folder beside ``path``; renamed to it on success, removed on failure.
 
-    Raises ``TacgenError`` if ``path`` exists already.
+    What a killed process left of the same ``path`` is removed too. Raises ``TacgenError`` if
+    ``path`` exists already, or another process is writing it.
     """
     path = Path(path)
-    if path.exists():
+    if os.path.lexists(path):
         msg = f"{path} exists already; give a new folder, or remove it"
         raise TacgenError(msg)
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent))
-    try:
-        partial.chmod(0o755)
-        yield partial
-        for file in partial.rglob("*"):
-            sync_file(file)
-        os.replace(partial, path)
-        sync_file(path.parent)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+    with locked(path.with_name(f".{path.name}.lock")) as held:
+        if held is False:
+            msg = f"{path}: another process is writing it; wait for it, or end it"
+            raise TacgenError(msg)
+        if held:
+            for left in path.parent.glob(f".{glob.escape(path.name)}.????????.part"):
+                shutil.rmtree(left, ignore_errors=True)
+        partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent))
+        try:
+            partial.chmod(0o755)
+            yield partial
+            for file in partial.rglob("*"):
+                sync_file(file)
+            os.replace(partial, path)
+            sync_file(path.parent)
+        except OSError as error:
+            error.filename = error.filename or str(path)
+            raise
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
 
 
 def sync_file(path: Path) -> None:
@@ -83,6 +115,21 @@ def refuse_foreign(folder: Path, mark: str, names: Iterable[str]) -> None:
             "empty or a new folder as --out"
         )
         raise TacgenError(msg)
+
+
+def require_readable(path: Path, error: type[TacgenError]) -> None:
+    """Raise ``error`` where the file ``path`` may not be read: that is not damage."""
+    if not os.access(path, os.R_OK):
+        msg = f"{path}: permission denied; ask its owner for the right to read it"
+        raise error(msg)
+
+
+def refuse_existing(force: bool, *paths: Path) -> None:
+    """Raise a ``DatasetError`` if one of ``paths`` exists and not ``force``."""
+    there = [path for path in paths if os.path.lexists(path)]
+    if there and not force:
+        msg = f"{there[0]}: exists already; pass --force to replace it, or another --out"
+        raise DatasetError(msg)
 
 
 def is_file(path: Path) -> bool:

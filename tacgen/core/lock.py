@@ -28,8 +28,7 @@ def locked(path: Path) -> Iterator[bool | None]:
     descriptor, held = open_locked(path)
     try:
         if held is not False:
-            os.ftruncate(descriptor, 0)
-            os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
+            _write_holder(descriptor, path)
         yield held
     finally:
         if held is not False:
@@ -37,12 +36,22 @@ def locked(path: Path) -> Iterator[bool | None]:
         os.close(descriptor)
 
 
+def _write_holder(descriptor: int, path: Path) -> None:
+    try:
+        os.ftruncate(descriptor, 0)
+        os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}\n".encode())
+    except OSError as error:
+        error.filename = str(path)
+        raise
+
+
 def holder_of(path: Path) -> str | None:
     """The process that holds the lock file ``path`` now, if any."""
     if path.is_symlink() or not path.is_file():
         return None
-    with contextlib.suppress(FileNotFoundError), path.open("r+", errors="replace") as file:
-        if _lock(file.fileno()) is False:
+    # Shared and for reading, as whoever may not write to it can ask.
+    with contextlib.suppress(FileNotFoundError), path.open(errors="replace") as file:
+        if _lock(file.fileno(), fcntl.LOCK_SH) is False:
             return file.read(200).strip() or "another process"
     return None
 
@@ -74,10 +83,10 @@ def open_locked(path: Path) -> tuple[int, bool | None]:
     return descriptor, held
 
 
-def _lock(descriptor: int) -> bool | None:
+def _lock(descriptor: int, kind: int = fcntl.LOCK_EX) -> bool | None:
     """Try to lock an open file: False where another holds it, None where there are no locks."""
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
     except OSError as error:
         return None if error.errno in _NO_LOCKS_HERE else False
     return True

@@ -8,10 +8,14 @@ import contextlib
 import functools
 import logging
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 
 from tqdm import tqdm
+
+# Its own lock is one of the system's too, which a process that is ended leaves behind.
+tqdm.set_lock(threading.RLock())
 
 LOG = logging.getLogger("tacgen")
 LINE_EVERY_S = 60.0  # interval of progress lines in logs

@@ -13,6 +13,7 @@ from typing import Any
 
 import yaml
 
+from tacgen.core.disk import disk_errors
 from tacgen.core.errors import DatasetError, RecipeError
 from tacgen.core.files import (
     atomic_path,
@@ -25,7 +26,6 @@ from tacgen.core.lock import holder_of, locked
 from tacgen.core.version import __version__, newer_problem
 from tacgen.core.yaml_source import read_yaml
 from tacgen.dataset.check import content_problems
-from tacgen.dataset.disk import disk_errors
 from tacgen.dataset.inputs import GRID, changed_roles
 from tacgen.dataset.manifest import (
     MAX_SHARDS,
@@ -159,7 +159,7 @@ class DatasetFolder:
         if self.plan().get("recipe_sha256") != spec.recipe_sha256:
             msg = f"{self.root}: now holds a dataset of another recipe; give another --out"
             raise DatasetError(msg)
-        with disk_errors(self.root):
+        with disk_errors(self.root, "finished shards are kept"):
             self.line_path(shard).unlink(missing_ok=True)
             path = self.shard_path(shard)
             with atomic_path(path) as partial:
@@ -182,7 +182,9 @@ class DatasetFolder:
         """What ``dataset.json`` says; raises ``DatasetError`` if the folder is not a dataset's."""
         plan: dict[str, Any] = {}
         is_whole = False
-        with contextlib.suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
+        with contextlib.suppress(
+            FileNotFoundError, ValueError, KeyError, TypeError, RecursionError
+        ):
             plan = json.loads(read_small_text(self.plan_path, MAX_PLAN_BYTES))
             numbers = [plan[name] for name in ("n_grasps", "shard_size", "n_shards")]
             is_whole = all(isinstance(number, int) and number > 0 for number in numbers)

@@ -246,6 +246,7 @@ def read_part(path: Path) -> ShardLine:
         raise DatasetError(msg) from error
     line = parse_line(text, str(path), FIX_PART)
     if line.shard != part_number(path):
-        msg = f"{path}: holds the line of shard {line.shard}; {FIX_PART}"
+        fix = "it was copied: remove it and its .h5; `tacgen collect` makes what is missing then"
+        msg = f"{path}: holds the line of shard {line.shard}; {fix}"
         raise DatasetError(msg)
     return line

@@ -17,6 +17,7 @@ from h5py import h5a, h5d, h5g, h5l, h5o, h5s, h5t
 from numpy.typing import NDArray
 
 from tacgen.core.errors import DatasetError
+from tacgen.core.files import require_readable
 from tacgen.core.records import PADS, Until
 from tacgen.core.version import newer_problem
 from tacgen.dataset.compression import ALLOWED_FILTERS, ends_of, is_sound
@@ -84,6 +85,7 @@ def open_shard(path: Path) -> Shard:
     if not path.is_file():
         msg = f"{path}: the shard is missing; `tacgen collect` remakes it"
         raise DatasetError(msg)
+    require_readable(path, DatasetError)
     with broken_as_error(path):
         file = h5py.File(path, "r")
         try:

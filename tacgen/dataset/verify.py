@@ -14,6 +14,8 @@ from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.inputs import changed_roles
 from tacgen.dataset.samples import shard_range
 
+_FOREIGN = "no shard of this dataset: remove it, and the .json of its name"
+
 
 @dataclass(frozen=True, slots=True)
 class Problem:
@@ -37,6 +39,12 @@ class Verification:
     def bad_shards(self) -> tuple[int, ...]:
         """The shards to be made anew."""
         return tuple(sorted({p.shard for p in self.problems if p.shard >= 0}))
+
+    @property
+    def foreign(self) -> tuple[str, ...]:
+        """Lines on what lies among the shards and is none: making shards anew does not mend it."""
+        odd = (p for p in self.problems if p.shard < 0 and p.file.startswith("shards/"))
+        return tuple(f"{p.file}: {p.reason}" for p in odd)
 
     def as_dict(self) -> dict[str, Any]:
         """For ``--json``."""
@@ -94,7 +102,8 @@ def _all_lines(folder: DatasetFolder) -> tuple[dict[int, manifest.ShardLine], li
         try:
             line = manifest.read_part(path)
         except DatasetError as error:
-            problems.append(Problem(name, _without_path(error, path), manifest.part_number(path)))
+            shard = manifest.part_number(path)
+            problems.append(Problem(name, _without_path(error, path), shard))
             continue
         if line.shard in merged and merged[line.shard] != line:
             reason = f"{name} says otherwise about the shard; `tacgen merge` brings them together"
@@ -104,19 +113,21 @@ def _all_lines(folder: DatasetFolder) -> tuple[dict[int, manifest.ShardLine], li
 
 
 def _whole_problems(folder: DatasetFolder, lines: dict[int, manifest.ShardLine]) -> list[Problem]:
-    n_grasps = None
+    n_grasps, n_shards = None, 0
     problems = []
     if lines or folder.plan_path.exists():
         try:
             plan = folder.plan()
-            n_grasps = plan["n_grasps"]
+            n_grasps, n_shards = plan["n_grasps"], plan["n_shards"]
             problems += _plan_problems(folder, plan, list(lines.values()))
         except DatasetError as error:
-            problems.append(Problem(folder.plan_path.name, str(error)))
+            problems.append(Problem(folder.plan_path.name, _without_path(error, folder.plan_path)))
     files = {f"shards/{path.name}" for path in folder.root.glob("shards/*.h5")}
-    strays = sorted(files - {line.file for line in lines.values()})
-    reason = "is not in the manifest: unfinished, or not of this dataset"
-    problems += [Problem(name, reason) for name in strays]
+    for name in sorted(files - {line.file for line in lines.values()}):
+        shard = manifest.part_number(Path(name))
+        is_due = 0 <= shard < n_shards
+        reason = "is not in the manifest: " + ("unfinished" if is_due else _FOREIGN)
+        problems.append(Problem(name, reason, shard if is_due else -1))
     found = manifest.manifest_problems(list(lines.values()), n_grasps)
     return problems + [Problem("manifest.jsonl", reason) for reason in found]
 
@@ -128,7 +139,8 @@ def _plan_problems(
     problems = []
     size, n_grasps, name = plan["shard_size"], plan["n_grasps"], folder.plan_path.name
     parts = plan["parts"]
-    if plan["n_shards"] != sum(-(-part // size) for part in parts) or sum(parts) != n_grasps:
+    n_shards = sum(-(-part // size) for part in parts)
+    if plan["n_shards"] != n_shards or sum(parts) != n_grasps:
         reason = f"n_shards is {plan['n_shards']} for {n_grasps} grasps, {size} a shard"
         problems.append(Problem(name, reason))
     odd: list[tuple[manifest.ShardLine, str]] = []
@@ -145,11 +157,14 @@ def _plan_problems(
         differing += [key for key, there in recorded.items() if plan.get(key) != there]
         differing += changed_roles(line.inputs, plan["inputs"])
         odd += [(line, ", ".join(differing))] if differing else []
-    if odd and len(odd) == len(lines):  # the one file is wrong, rather than all of them
-        problems.append(Problem(name, f"differs from {odd[0][0].file} in {odd[0][1]}"))
-    else:
-        reason = f"was made with another %s than {name} says"
-        problems += [Problem(line.file, reason % what, line.shard) for line, what in odd]
+    for line, what in odd:
+        if len(odd) == len(lines):  # the one file is wrong, or all shards are to be made anew
+            problems.append(Problem(name, f"differs from {line.file} in {what}", line.shard))
+        elif line.shard >= n_shards:
+            problems.append(Problem(line.file, _FOREIGN))
+        else:
+            reason = f"was made with another {what} than {name} says"
+            problems.append(Problem(line.file, reason, line.shard))
     try:
         if sha256_of_content(folder.recipe()) == plan.get("resolved_sha256"):
             return problems

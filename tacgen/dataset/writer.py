@@ -8,11 +8,11 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.disk import DiskFile
 from tacgen.core.files import sha256_of
 from tacgen.core.version import __version__
 from tacgen.dataset.check import GraspFacts, tally
 from tacgen.dataset.compression import storage_of, write_images
-from tacgen.dataset.disk import DiskFile
 from tacgen.dataset.inputs import library_versions
 from tacgen.dataset.manifest import ShardLine, shard_file
 from tacgen.dataset.samples import DatasetSpec, GraspSample, shard_range

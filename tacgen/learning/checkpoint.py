@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 from safetensors import safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 
+from tacgen.core.disk import DiskFile
 from tacgen.core.errors import LearningError
-from tacgen.core.files import atomic_path
+from tacgen.core.files import atomic_path, require_readable
 from tacgen.core.version import __version__
 from tacgen.learning.backbone import read_tensors
 from tacgen.learning.inputs import InputSpec
@@ -58,8 +59,9 @@ def save_model(
     tensors = {name: value.detach().cpu().contiguous() for name, value in state.items()}
     if reference is not None:
         tensors[_REFERENCE_KEY] = torch.from_numpy(np.ascontiguousarray(reference))
+    content = save(tensors, metadata={_CARD_KEY: json.dumps(asdict(card))})
     with atomic_path(path) as partial:
-        save_file(tensors, partial, metadata={_CARD_KEY: json.dumps(asdict(card))})
+        partial.write_bytes(content)
 
 
 def load_model(path: Path) -> tuple[StabilityNet, ModelCard, NDArray[np.uint8] | None]:
@@ -73,6 +75,7 @@ def load_model(path: Path) -> tuple[StabilityNet, ModelCard, NDArray[np.uint8] |
             "and run `tacgen train` with the same recipe again"
         )
         raise LearningError(msg)
+    require_readable(path, LearningError)
     try:
         with safe_open(path, framework="pt") as file:
             text = (file.metadata() or {}).get(_CARD_KEY, "")
@@ -94,8 +97,9 @@ def load_model(path: Path) -> tuple[StabilityNet, ModelCard, NDArray[np.uint8] |
 
 def save_state(path: Path, state: dict[str, Any]) -> None:
     """Write a training state of tensors and plain values, whole or not at all."""
-    with atomic_path(path) as partial:
-        torch.save(state, partial)
+    with atomic_path(path) as partial, DiskFile(partial) as disk:
+        torch.save(state, disk)
+        disk.raise_failure()
 
 
 def load_state(path: Path, keys: tuple[str, ...]) -> dict[str, Any]:
@@ -103,6 +107,7 @@ def load_state(path: Path, keys: tuple[str, ...]) -> dict[str, Any]:
 
     Raises ``LearningError`` if it cannot be read, or is not such a state.
     """
+    require_readable(path, LearningError)
     state = read_tensors(path, "a checkpoint", FROM_THE_START)
     if not isinstance(state, dict) or set(state) != set(keys):
         msg = f"{path}: not a checkpoint of this version of tacgen; {FROM_THE_START}"

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import yaml
 from pydantic import BaseModel, Field, ValidationError
 
+from tacgen.core.disk import disk_message
 from tacgen.core.errors import LearningError
 from tacgen.core.files import read_small_text, refuse_foreign, write_text
 from tacgen.core.lock import holder_of, locked
@@ -111,16 +112,18 @@ class RunFolder:
         """
         try:
             self.root.mkdir(parents=True, exist_ok=True)
-            if self.plan_path.is_file():
+            resumes = self.plan_path.is_file()
+            if resumes:
                 self._refuse_another(plan)
-                return True
-            refuse_foreign(self.root, self.plan_path.name, [self.recipe_path.name])
-            write_text(self.recipe_path, yaml.safe_dump(dict(recipe), sort_keys=False))
-            write_text(self.plan_path, json.dumps(dict(plan), indent=1))
+            else:
+                refuse_foreign(self.root, self.plan_path.name, [self.recipe_path.name])
+                write_text(self.plan_path, json.dumps(dict(plan), indent=1))
+            if not self.recipe_path.is_file():
+                write_text(self.recipe_path, yaml.safe_dump(dict(recipe), sort_keys=False))
         except OSError as error:
-            msg = f"{self.root}: {error.strerror}; give a folder that you may write to"
+            msg = disk_message(error, self.root, "give a folder that you may write to")
             raise LearningError(msg) from error
-        return False
+        return resumes
 
     def plan(self) -> dict[str, Any]:
         """The content of ``run.json``; raises ``LearningError`` if the folder is not a run's."""

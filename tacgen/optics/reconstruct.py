@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dctn, idctn
-from scipy.ndimage import distance_transform_edt, gaussian_filter, label, maximum
+from scipy.ndimage import binary_dilation, distance_transform_edt, gaussian_filter, label, maximum
 from scipy.spatial import cKDTree
 
 from tacgen.core.arrays import BoolArray, FloatArray
@@ -40,11 +40,12 @@ flattens steep walls, by 1 % of a deep press's volume at 1 grey level."""
 SEARCH_PRIOR_GREY = 3.0
 """The same in the first search, whose colours are those of the middle of a tile: without it some
 pixels start at a steep slope of like colour, and stay there."""
-MOST_CHANGE_GREY = (
-    12.0  # of half of all pixels without drift: pictures of another sensor differ more
-)
+MOST_CHANGE_GREY = 12.0  # of half of all pixels, without drift: less than between two sensors
 MOST_GAIN = 0.3  # lamps drift by some 5 % in a session
 SAME_VIEW = "save all pictures of a sensor as RGB, turned and cropped alike"
+MOST_AT_STEEPEST = 0.01
+"""Share of a contact's pixels at the table's steepest slope: up to it balls, edges and cylinders
+were read within 5 %, beyond it deep flat punches up to 50 % too shallow."""
 AT_STEEPEST = 0.97  # of the steepest slope: a step of the search grid below it
 REFINEMENTS = 3  # of each slope between the grid's nodes
 CONTACT_PASSES = 3
@@ -61,6 +62,10 @@ RIM_LEVELS, RIM_WINDOW = 46, 3  # of the depth; contours so many levels up and d
 CONTINUED_STDERR = 0.25  # of the volume outside the rim: half of it for a cone taken for a ball
 CLEAR_OF_NOISE = 4.0  # standard errors of the level; a contact is deeper
 LEAST_SHARE = 0.25  # of the deepest contact's depth that another one must have: dust has less
+LEAST_FIRM_PX, MOST_MISFIT, STEEPEST_SINE = 100, 0.06, 0.9
+"""A ball's flank is continued beyond the table where so many pixels below it, less deep by at most
+half, have normals that are off by no more from a ball's, and up to the sine of this angle, 64°:
+steeper, a pixel's height exceeds its width twice over."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +87,9 @@ class Shape:
     standard error of that level: how uneven the gel is that nothing touches. ``slope_stderr`` is
     the standard error of the slopes in the contact, from what the table does not explain of the
     picture; NaN where nothing is deeper than the gel at rest. ``steepest_share`` is the share of
-    the contact's pixels at the steepest slope that the table holds: walls may be steeper, and the
-    depth inside them is then too small.
+    the contact's pixels at the steepest slope that the table holds, ``unknown_share`` that of those
+    whose slope does not follow from the rest of the contact either: walls may be steeper there, and
+    the depth inside them is then too small.
     """
 
     depth_mm: FloatArray
@@ -91,6 +97,12 @@ class Shape:
     slope_stderr: float = math.nan
     steepest_share: float = 0.0
     level_stderr_mm: float = 0.0
+    unknown_share: float = 0.0
+
+    @property
+    def is_lower_bound(self) -> bool:
+        """Whether depth and volume are at least so large, behind walls too steep for the table."""
+        return self.unknown_share > MOST_AT_STEEPEST
 
     def imprint(self, least_mm: float = 0.0) -> Imprint:
         """The object's imprint, of contacts deeper than ``least_mm`` and than the level's error.
@@ -203,16 +215,52 @@ class Reconstructor:
         bare = drift.bare if drift.bare.any() else known > 0
         for _ in range(CONTACT_PASSES if self._table.image_model.sees_depth else 1):
             found = self._slopes_of(change)
-            slopes = _filled(found - self._rest, known)
-            surface = integrate(slopes[..., 0], slopes[..., 1], self.mm_per_px)
-            depth = np.median(surface[_upper(surface, bare)]) - surface
+            depth = self._depth_of(found, known, bare)
             change = seen - self._contact_light(found, depth)
         contact = (depth > 0.1 * depth.max()) & (known > 0)
         stderr = self._slope_stderr(found, change, contact)
-        steep = np.hypot(found[..., 0], found[..., 1]) >= AT_STEEPEST * self.steepest
-        share = float((steep & contact).sum() / max(contact.sum(), 1))
+        steep = contact & (np.hypot(*np.moveaxis(found, -1, 0)) >= AT_STEEPEST * self.steepest)
+        share = unknown_share = float(steep.sum() / max(contact.sum(), 1))
+        if share > MOST_AT_STEEPEST:
+            found, unknown = self._with_flanks(found, depth, steep)
+            depth = self._depth_of(found, known, bare)
+            unknown_share = float(unknown.sum() / contact.sum())
         level = float(np.sqrt(np.mean(depth[_upper(-depth, bare)] ** 2)))
-        return Shape(depth, self.mm_per_px, stderr, share, level)
+        return Shape(depth, self.mm_per_px, stderr, share, level, unknown_share)
+
+    def _depth_of(self, slopes: FloatArray, known: FloatArray, bare: BoolArray) -> FloatArray:
+        """Depth (h, w), mm, of the surface of these slopes (h, w, 2) below the ``bare`` gel."""
+        bent = _filled(slopes - self._rest, known)
+        surface = integrate(bent[..., 0], bent[..., 1], self.mm_per_px)
+        return np.asarray(np.median(surface[_upper(surface, bare)]) - surface)
+
+    def _with_flanks(
+        self, slopes: FloatArray, depth: FloatArray, steep: BoolArray
+    ) -> tuple[FloatArray, BoolArray]:
+        """Slopes, steeper than the table where the contact's bottom is a ball's, and where unknown.
+
+        The tangential parts of a ball's unit normals are linear in place: fitted to the bottom,
+        they tell the slope of the flanks, whose direction the table still sees.
+        """
+        firm = (depth > 0.5 * depth.max()) & ~binary_dilation(steep, iterations=2)
+        if firm.sum() < LEAST_FIRM_PX:
+            return slopes, steep
+        normals = slopes / np.sqrt(1.0 + (slopes**2).sum(axis=-1, keepdims=True))
+        rows, columns = np.indices(steep.shape)
+        places = np.stack([columns, rows, np.ones_like(rows)], axis=-1).astype(float)
+        fit, *_ = np.linalg.lstsq(places[firm], normals[firm], rcond=None)
+        off = places[firm] @ fit - normals[firm]
+        if (off**2).sum(axis=-1).mean() > MOST_MISFIT**2:
+            return slopes, steep
+        sine = np.hypot(*(places[steep] @ fit).T)
+        least = math.sin(math.atan(AT_STEEPEST * self.steepest))
+        unknown = steep.copy()
+        unknown[steep] = (sine < least) | (sine > STEEPEST_SINE)
+        steeper = np.tan(np.arcsin(np.clip(sine, least, STEEPEST_SINE)))
+        slopes = slopes.copy()
+        now = np.hypot(*slopes[steep].T)
+        slopes[steep] *= np.where(unknown[steep], 1.0, np.maximum(steeper / now, 1.0))[:, None]
+        return slopes, unknown
 
     def _contact_light(self, slopes: FloatArray, depth_mm: FloatArray) -> FloatArray:
         """Grey levels (h, w, 3) that a contact of these slopes and depths adds."""

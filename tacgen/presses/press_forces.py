@@ -60,6 +60,7 @@ def measure_presses(folder: PressFolder, table: LookupTable | None = None) -> Me
         Reconstructor(table, folder.background, folder.dome_radius_mm) if table else None
     )
     volumes, stderrs = np.full((2, len(rows)), np.nan)
+    n_bounds = 0
     for index in range(len(rows)):
         picture = folder.picture(index)
         hidden = dots_in(picture, at_rest) if at_rest is not None else None
@@ -67,11 +68,16 @@ def measure_presses(folder: PressFolder, table: LookupTable | None = None) -> Me
         if reconstructor is not None:
             shape = reconstructor.shape_of(picture, hidden)
             volumes[index], stderrs[index] = shape.volume_mm3, shape.volume_stderr_mm3()
+            n_bounds += shape.is_lower_bound
         else:
             volumes[index], problem = _ball_volume(folder, index, picture, hidden)
         if not volumes[index] > 0:
             fix = "it is not in the log: press again, or check background.png"
             warnings.append(f"{listing}: row {index + 2}: {rows['file'][index]} {problem}; {fix}")
+    if n_bounds:
+        why = "where the contact is steeper than the table reaches"
+        fix = "press less deep, with a larger ball, or give a table that reaches further"
+        warnings.append(f"{listing}: the volumes of {n_bounds} pictures are too low, {why}; {fix}")
     frame = _log_frame(rows, volumes)
     pitch_mm = np.nan
     if at_rest is not None:

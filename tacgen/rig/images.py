@@ -24,6 +24,8 @@ from tacgen.rig.schedule import CAMERA, press_rng
 
 Floats = NDArray[np.float64]
 
+LAST = "sensor.yaml"  # the last file that is written
+
 
 @dataclass(frozen=True, slots=True)
 class BallContact:
@@ -124,7 +126,7 @@ def chosen_samples(log: pd.DataFrame, truth: SessionTruth, per_press: int) -> li
 def write_images(
     recipe: RigRecipe, sensor: Sensor, log: pd.DataFrame, truth: SessionTruth, folder: Path
 ) -> Path:
-    """Write the press-image folder and return it."""
+    """Write the press-image folder, but for pictures that are there, and return it."""
     folder = Path(folder)
     camera = Camera(recipe, sensor)
     _write_png(folder / "background.png", camera.take(None, press_rng(recipe, 10**6, CAMERA)))
@@ -143,12 +145,13 @@ def write_images(
             float(truth.volume_mm3[row]),
             truth.shear_mm[row],
         )
-        rng = press_rng(recipe, press * recipe.images.per_press + index, CAMERA)
-        _write_png(folder / name, camera.take(contact, rng))
+        if not (folder / name).is_file():
+            rng = press_rng(recipe, press * recipe.images.per_press + index, CAMERA)
+            _write_png(folder / name, camera.take(contact, rng))
         records.append(_record(recipe, sensor, name, sample, contact))
     with atomic_path(folder / "presses.csv") as partial:
         pd.DataFrame(records).round(6).to_csv(partial, index=False)
-    write_text(folder / "sensor.yaml", yaml.safe_dump(_sensor_yaml(sensor), sort_keys=False))
+    write_text(folder / LAST, yaml.safe_dump(_sensor_yaml(sensor), sort_keys=False))
     return folder
 
 

@@ -8,11 +8,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tacgen.contact.law import save_law
-from tacgen.core.files import atomic_path
+from tacgen.contact.law import load_law, save_law
+from tacgen.core.files import atomic_path, refuse_existing, refuse_foreign
+from tacgen.core.progress import print_status
 from tacgen.core.version import __version__
 from tacgen.rig.effects import SessionTruth, true_response
-from tacgen.rig.images import write_images
+from tacgen.rig.images import LAST, write_images
 from tacgen.rig.rig_recipe import RigRecipe
 from tacgen.rig.schedule import NOISE, press_rng, true_session
 from tacgen.sensor.description import load_sensor
@@ -37,27 +38,41 @@ def simulate_session(recipe: RigRecipe) -> Session:
     return Session(log, true_columns, truth)
 
 
-def run_rig(recipe: RigRecipe, out: Path) -> list[Path]:
+def run_rig(recipe: RigRecipe, out: Path, *, force: bool = False) -> list[Path]:
     """Write the recipe's session into ``out``; returns what was written.
 
     ``press_log.csv`` (unless only images are wanted), ``presses/`` with ``background.png``, one
     image a line of ``presses.csv`` and ``sensor.yaml`` (unless only a log is), and
-    ``truth.yaml``, the law that the gel really has, in the form of a ``contact.yaml``.
+    ``truth.yaml``, the law that the gel really has, in the form of a ``contact.yaml``. A session
+    that was interrupted is finished.
+
+    Raises ``DatasetError`` if there is a session already, unless ``force``.
     """
     out = Path(out)
+    truth, log, presses = out / "truth.yaml", out / "press_log.csv", out / "presses"
     session = simulate_session(recipe)
     sensor = load_sensor(recipe.sensor, needs_table=False)
     pitch_mm = sensor.markers.pitch_mm if sensor.markers else np.nan
     provenance = {"rig": recipe.model_dump(mode="json"), "versions": {"tacgen": __version__}}
     law = replace(session.truth.law, marker_pitch_mm=pitch_mm, provenance=provenance)
-    save_law(law, out / "truth.yaml")
-    written = [out / "truth.yaml"]
+    last = log if recipe.output == "log" else presses / LAST
+    is_begun = truth.is_file() and not last.exists() and load_law(truth).provenance == provenance
+    if is_begun:
+        print_status(f"{out}: finishes the session that was interrupted")
+    else:
+        refuse_foreign(out, truth.name, [log.name, presses.name])
+        refuse_existing(force, truth)
+        # What is there of another session must not be taken for this one's.
+        for path in (presses / LAST, log, *presses.glob("press_*.png"), presses / "presses.csv"):
+            path.unlink(missing_ok=True)
+        save_law(law, truth)
+    written = [truth]
     if recipe.output != "images":
-        with atomic_path(out / "press_log.csv") as partial:
+        with atomic_path(log) as partial:
             session.log.round(DECIMALS).to_csv(partial, index=False)
-        written.append(out / "press_log.csv")
+        written.append(log)
     if recipe.output != "log":
-        written.append(write_images(recipe, sensor, session.log, session.truth, out / "presses"))
+        written.append(write_images(recipe, sensor, session.log, session.truth, presses))
     return written
 
 

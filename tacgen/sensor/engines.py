@@ -257,6 +257,7 @@ class MujocoContacts(EngineContacts):
 
         super().__init__()
         self._mujoco, self._model, self._data = mujoco, model, data
+        self._scratch = mujoco.MjData(model)
         self._body, self._gel = self._body_id(body), pose_body_gel_m
 
     def _body_id(self, body: int | str) -> int:
@@ -323,11 +324,44 @@ class MujocoContacts(EngineContacts):
     def _object_pose_m(self, body: int) -> FloatArray:
         return pose(np.array(self._data.xmat[body]).reshape(3, 3), np.array(self._data.xpos[body]))
 
+    def _places(self, back_s: float) -> FloatArray:
+        """Place and rotation (n, 12) of all bodies by the joints, so long before at this speed."""
+        there, now = self._scratch, self._data
+        there.qpos[:], there.mocap_pos[:], there.mocap_quat[:] = (
+            now.qpos, now.mocap_pos, now.mocap_quat,
+        )  # fmt: skip
+        if back_s:
+            self._mujoco.mj_integratePos(self._model, there.qpos, now.qvel, -back_s)
+        self._mujoco.mj_kinematics(self._model, there)
+        return np.hstack([there.xpos, there.xmat])
+
+    def _refuse_moved(self) -> None:
+        """Raise a ``SensorError`` where ``qpos`` was set since poses and contacts were computed.
+
+        MuJoCo computes them at the beginning of a step: they may be as old as that.
+        """
+        places, step_s = self._places(0.0), self.time_step_s()
+        moved = np.linalg.norm(places - self._places(step_s), axis=1)
+        there = np.hstack([self._data.xpos, self._data.xmat])
+        off = np.linalg.norm(there - places, axis=1)
+        for body in (self._body, *(body for body, _ in self._objects)):
+            is_mocap = self._model.body_mocapid[self._model.body_rootid[body]] >= 0
+            if off[body] > 1e-6 + 2.0 * moved[body] and not is_mocap:
+                name = self._model.body(body).name or body
+                msg = (
+                    f"body {name}: qpos is not that of the contacts: it was set since; call "
+                    "mj_forward or mj_step after setting it, before read()"
+                )
+                raise SensorError(msg)
+
     def _forces_on_gel(self) -> tuple[FloatArray, FloatArray]:
+        self._refuse_moved()
         objects = {body for body, _ in self._objects}
         points, forces = [np.zeros((0, 3))], [np.zeros((0, 3))]
         for k in range(self._data.ncon):
             contact = self._data.contact[k]
+            if min(contact.geom) < 0:  # of a soft body, which has no geoms
+                continue
             first, second = (int(self._model.geom_bodyid[g]) for g in contact.geom)
             if {first, second} != {self._body, *({first, second} & objects)}:
                 continue

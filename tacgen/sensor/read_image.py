@@ -27,9 +27,6 @@ LEAST_DEPTH_MM = 0.03
 """Shallower than this there is no contact: pictures of a gel at rest reach 0.02 mm by noise."""
 MARKER_STDERR_PX = 0.1
 """How well the centre of one dot is found, with what its motion loses where it is interpolated."""
-MOST_AT_STEEPEST = 0.01
-"""Share of a contact's pixels at the table's steepest slope: up to it balls, edges and cylinders
-were read within 5 %, beyond it deep flat punches up to 50 % too shallow."""
 MOST_OFF_STDERR = 3.0  # between the response that was read and that of the load that was found
 FIRST_FORCE_N, FORCES_TRIED = 0.01, 80  # in steps of 16 %
 LARGEST_FORCE_N = 1000.0  # no gel survives this; a law that needs more for a volume is saturated
@@ -41,12 +38,17 @@ class Reading(Frame):
 
     Without printed dots ``shear_sum_mm`` (2,), the sum of their motion, and the shear forces with
     their errors are NaN. ``message`` is what the user should know (no contact, walls too steep).
+    ``steep_share`` is the share of the contact that is at the steepest slope of the table; where
+    ``lower_bound``, depth, volume and force are at least what stands here, and their errors do not
+    hold what is missing.
     """
 
     force_stderr_n: NDArray[np.float64]
     volume_stderr_mm3: float
     shear_sum_mm: NDArray[np.float64]
     message: str
+    steep_share: float = 0.0
+    lower_bound: bool = False
 
     def summary(self) -> dict[str, Any]:
         """The numbers alone, ready for JSON: None for what is not known."""
@@ -63,7 +65,9 @@ class Reading(Frame):
             "shear_sum_y_mm": self.shear_sum_mm[1],
         }
         known = {k: float(v) if math.isfinite(v) else None for k, v in numbers.items()}
-        return {"contact": bool(self.contact_mask.any()), **known, "message": self.message}
+        told = {"message": self.message, "steep_share": round(self.steep_share, 4)}
+        told |= {"lower_bound": self.lower_bound}
+        return {"contact": bool(self.contact_mask.any()), **known, **told}
 
 
 class ImageReader:
@@ -131,15 +135,17 @@ class ImageReader:
         reading = _with_forces(
             reading, self.sensor.law, self.sensor.table.mm_per_px, self._pitch_mm
         )
-        if shape.steepest_share <= MOST_AT_STEEPEST:
+        reading = replace(reading, steep_share=shape.steepest_share)
+        if not shape.is_lower_bound:
             return reading
         limit_deg = math.degrees(math.atan(self._reconstructor.steepest))
         steep = (
-            f"{shape.steepest_share:.0%} of the contact is at the steepest slope of the table, "
-            f"{limit_deg:.0f}°: behind steeper walls depth, volume and force are too low; press "
-            "less deep"
+            f"a lower bound: {shape.steepest_share:.0%} of the contact is at the steepest slope of "
+            f"the table, {limit_deg:.0f}°, and behind steeper walls depth, volume and force are "
+            "too low; press less deep"
         )
-        return replace(reading, message="; ".join(filter(None, (reading.message, steep))))
+        message = "; ".join(filter(None, (reading.message, steep)))
+        return replace(reading, message=message, lower_bound=True)
 
     def _shear(
         self, rgb: NDArray[np.uint8]
@@ -244,13 +250,12 @@ def reading_line(row: dict[str, Any]) -> str:
     """One row of ``read_files`` as a line of text."""
     if not row["contact"]:
         return f"{row['file']}: {row['message']}"
-    text = (
-        f"{row['file']}: volume {row['volume_mm3']:.2f} ± {row['volume_stderr_mm3']:.2f} mm³, "
-        f"depth {row['indentation_mm']:.3f} mm, "
-    )
+    at_least = "at least " if row["lower_bound"] else ""
+    volume = f"{row['volume_mm3']:.2f} ± {row['volume_stderr_mm3']:.2f}"
+    text = f"{row['file']}: volume {at_least}{volume} mm³, depth {row['indentation_mm']:.3f} mm, "
     if row["force_normal_n"] is None:
         return f"{text}{row['message']}"
-    text += f"force {row['force_normal_n']:.2f} ± {row['force_normal_stderr_n']:.2f} N"
+    text += f"force {at_least}{row['force_normal_n']:.2f} ± {row['force_normal_stderr_n']:.2f} N"
     if row["force_shear_x_n"] is not None:
         text += f", shear {row['force_shear_x_n']:.2f}, {row['force_shear_y_n']:.2f} N"
     return f"{text}; {row['message']}" if row["message"] else text

@@ -11,21 +11,10 @@ import numpy as np
 import pytest
 
 from tests.dataset.conftest import collect_toy, make_spec
+from validation.processes.random_kills import processes_of
 
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE_S = 10.0  # of a loaded machine; a fifth of a second on an idle one
-
-
-def processes_of(session: int) -> list[int]:
-    found = []
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            fields = (folder / "stat").read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        if int(fields[3]) == session and fields[0] != "Z":
-            found.append(int(folder.name))
-    return found
 
 
 def interrupted(arguments: list[str], after_s: float, folder: Path) -> tuple[int, str]:

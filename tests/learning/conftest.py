@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,7 +20,7 @@ REFERENCE = np.full((*SENSOR.shape_px, 3), (90, 110, 130), np.uint8)
 
 
 def make_spec(n_grasps: int = 40, n_frames: int = 3, **changes: object) -> DatasetSpec:
-    given: dict = {
+    given: dict[str, Any] = {
         "recipe": {"name": "toy", "seed": 3, "objects": ["can", "cup"]},
         "recipe_sha256": "ab" * 32,
         "calibration": {"table": "cd" * 32},
@@ -76,7 +77,9 @@ def make_sample(index: int, spec: DatasetSpec) -> GraspSample:
     )
 
 
-def collect(root: Path, spec: DatasetSpec, make=make_sample) -> Path:
+def collect(
+    root: Path, spec: DatasetSpec, make: Callable[[int, DatasetSpec], Any] = make_sample
+) -> Path:
     folder = DatasetFolder(root)
     folder.prepare(spec)
     for shard in range(spec.n_shards):
@@ -87,9 +90,9 @@ def collect(root: Path, spec: DatasetSpec, make=make_sample) -> Path:
     return root
 
 
-def recipe_of(kind: str = "single", **changes: dict) -> TrainRecipe:
+def recipe_of(kind: str = "single", **changes: dict[str, Any]) -> TrainRecipe:
     """A recipe small enough for a test."""
-    given: dict = {
+    given: dict[str, Any] = {
         "name": "toy",
         "model": {"kind": kind, "weights": "none"},
         "input": {"size_px": [32, 40]},

@@ -35,7 +35,9 @@ from tacgen.sensor.read_image import (
     ImageReader,
     Reading,
     _with_forces,
+    read_files,
     read_image,
+    reading_line,
 )
 from validation.optics.sampled_table import sampled_table
 
@@ -109,6 +111,33 @@ def test_walls_steeper_than_the_table_are_reported(force_n, steep):
     assert ("at the steepest slope of the table" in found.message) == steep
     is_right = found.volume_mm3 == pytest.approx(frame.volume_mm3, rel=0.05)
     assert is_right != steep
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("force_n", "is_steep", "is_bound"),
+    [(0.5, False, False), (3.0, True, False), (6.0, True, True)],
+)
+def test_a_small_ball_deep_in_the_gel_is_right_or_a_lower_bound(
+    force_n, is_steep, is_bound, tmp_path
+):
+    """Radius 2.5 mm: flanks up to 64° are continued from the bottom, steeper ones are said."""
+    sensor = tacgen.Sensor("gelsight_mini")
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=2.5)
+    cv2.imwrite(
+        str(tmp_path / "a.png"), sensor.render(ball, np.eye(4), force_n=force_n).rgb[..., ::-1]
+    )
+    (row,) = read_files(ImageReader(sensor), [tmp_path / "a.png"], tmp_path / "out")
+    found = pd.read_csv(tmp_path / "out/readings.csv").iloc[0]
+    assert found["lower_bound"] == row["lower_bound"] == is_bound
+    assert (found["steep_share"] > 0.01) == is_steep
+    assert ("force at least" in reading_line(row)) == is_bound
+    missing = force_n - row["force_normal_n"]
+    if is_bound:
+        assert missing > 3 * row["force_normal_stderr_n"]
+        assert "a lower bound: " in row["message"]
+    else:
+        assert abs(missing) < 2 * row["force_normal_stderr_n"]
 
 
 @pytest.mark.slow

@@ -265,6 +265,61 @@ def test_the_same_ball_in_mujoco():
         sensor.attach_mujoco(model, data, "finger")
 
 
+@pytest.fixture
+def mujoco_drop():
+    """A ball at rest on a pad: 0.2 kg, of whose weight MuJoCo compensates a quarter."""
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><option timestep="0.002"/><worldbody>
+        <body name="pad"><geom type="box" size=".05 .05 .01"/></body>
+        <body name="ball" pos="0 0 .0141" gravcomp=".25"><freejoint/>
+        <geom type="sphere" size=".004" mass=".2"/></body></worldbody></mujoco>"""
+    )
+    data = mujoco.MjData(model)
+    for _ in range(1000):
+        mujoco.mj_step(model, data)
+    sensor = Sensor("gelsight_mini")
+    sensor.attach_mujoco(model, data, "pad", pose_body_gel=gel_on_top()).add_object("ball")
+    return mujoco, model, data, sensor
+
+
+def test_what_mujoco_was_moved_to_is_computed_before_it_is_read(mujoco_drop):
+    mujoco, model, data, sensor = mujoco_drop
+    assert sensor.read().force_n[2] == pytest.approx(0.15 * GRAVITY_M_S2, rel=0.01)
+    resting = data.qpos.copy()
+    for place, value in ((2, 0.2), (0, resting[0] + 1e-3), (4, 0.5)):
+        data.qpos[:] = resting
+        data.qpos[place] = value
+        with pytest.raises(SensorError, match="ball: qpos is not that of the contacts.*mj_forward"):
+            sensor.read()
+    data.qpos[:] = resting
+    data.qpos[2] = 0.2
+    mujoco.mj_forward(model, data)
+    assert sensor.read().force_n.tolist() == [0.0, 0.0, 0.0]
+    for _ in range(80):  # it falls at up to 1.6 m/s and spins: no step looks like a reset
+        data.qvel[3:] = (30.0, -20.0, 10.0)
+        mujoco.mj_step(model, data)
+        sensor.read()
+
+
+def test_mujocos_forces_are_in_newtons_at_every_setting(mujoco_drop):
+    """The balance of forces, at another step, integrator and softness."""
+    mujoco, model, data, sensor = mujoco_drop
+    kinds = mujoco.mjtIntegrator
+    for change in (
+        lambda: setattr(model.opt, "timestep", 0.0005),
+        lambda: setattr(model.opt, "integrator", kinds.mjINT_RK4),
+        lambda: setattr(model.opt, "integrator", kinds.mjINT_IMPLICITFAST),
+        lambda: model.geom_solref.__setitem__(slice(None), (0.1, 1.0)),
+    ):
+        change()
+        for _ in range(4000):
+            mujoco.mj_step(model, data)
+        found = sensor.read()
+        assert found.force_n[2] == pytest.approx(0.15 * GRAVITY_M_S2, rel=0.01)
+        assert found.volume_mm3 == pytest.approx(5.135 * found.force_n[2], rel=0.02)
+
+
 def test_names_are_loaded_when_used():
     assert {"Sensor", "Dataset", "collect", "load_recipe"} <= set(dir(tacgen))
     assert tacgen.Sensor is Sensor

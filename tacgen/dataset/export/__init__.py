@@ -15,10 +15,10 @@ from typing import Any
 
 import pandas as pd
 
+from tacgen.core.disk import disk_errors
 from tacgen.core.errors import DatasetError, require_known
 from tacgen.core.files import atomic_folder
 from tacgen.core.records import LABEL_NOT_EXECUTED
-from tacgen.dataset.disk import disk_errors
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.schema import SPLITS
 

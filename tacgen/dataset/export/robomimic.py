@@ -20,6 +20,7 @@ import numpy as np
 import pandas as pd
 
 from tacgen.core.arrays import FloatArray
+from tacgen.core.disk import DiskFile
 from tacgen.core.records import LABEL_SUCCESS
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample
@@ -39,11 +40,12 @@ def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
     configurations = grasps[list(ACTION)].to_numpy(np.float64)
     low, high = configurations.min(axis=0), configurations.max(axis=0)
     actions = _scaled(configurations, low, high)
-    with h5py.File(folder / FILE, "w") as file:
+    with DiskFile(folder / FILE) as disk, h5py.File(disk, "w") as file:
         data = file.create_group("data")
         names = np.array([f"demo_{k}" for k in range(len(grasps))], dtype="S")
         for name, index, action in zip(names, grasps["index"], actions, strict=True):
             _write_demo(data.create_group(name.decode()), dataset.read(int(index)), action)
+            disk.raise_failure()
         data.attrs["total"] = len(grasps) * dataset.n_frames
         data.attrs.update({"action_names": list(ACTION), "action_low": low, "action_high": high})
         # robomimic builds its environment from these; type 2 is its general (gym) one.
@@ -60,6 +62,8 @@ def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
             sides = {"train": train[~valid], "valid": train[valid]}
             for mask, those in (sides | {"test": rows[split[rows] == "test"]}).items():
                 file.create_dataset(f"mask/{mask}{suffix}", data=names[those])
+        file.close()
+        disk.raise_failure()
     masks = f"{held.sum()} successes in mask/train, valid and test, {(~held).sum()} failures apart"
     return f"{len(grasps)} demonstrations in robomimic's HDF5 format: {masks}"
 

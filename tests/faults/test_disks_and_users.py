@@ -1,0 +1,319 @@
+"""Full disks, parts of killed processes, other users, links to nothing, other locales."""
+
+import contextlib
+import os
+import resource
+import socket
+import stat
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tacgen.cluster import submission
+from tacgen.collection.recipe import Cluster, load_recipe
+from tacgen.core.disk import disk_message
+from tacgen.core.errors import ClusterError, DatasetError, LearningError, TacgenError
+from tacgen.core.files import atomic_folder, atomic_path, refuse_existing
+from tacgen.core.lock import holder_of, locked
+from tacgen.dataset import DatasetFolder
+from tacgen.dataset.export import export_dataset
+from tacgen.dataset.shard import open_shard
+from tacgen.dataset.verify import verify
+from tacgen.learning.checkpoint import load_model, save_state
+from tacgen.learning.run_folder import RunFolder
+from tacgen.rig import load_rig_recipe, run_rig
+from tests.dataset.conftest import collect_toy, make_spec
+from tests.small_world import write_world
+
+NOBODY = 65534
+
+
+@contextlib.contextmanager
+def largest_file(n_bytes: int) -> Iterator[None]:
+    """No file of this process may grow beyond ``n_bytes``: its disk is as good as full."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    """Every file below a folder, hidden ones too, with its content."""
+    found = (path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): path.read_bytes() for path in found}
+
+
+@pytest.mark.parametrize("layout", ["lerobot", "images", "webdataset", "robomimic", "real-grasps"])
+def test_a_full_disk_ends_an_export_with_one_message_and_nothing_left(layout, tmp_path):
+    data = collect_toy(tmp_path / "data", make_spec(n_grasps=20)).root
+    before = files(tmp_path)
+    with largest_file(1024), pytest.raises(DatasetError) as caught:
+        export_dataset(data, tmp_path / "out", layout)
+    assert str(caught.value).startswith(f"{tmp_path / 'out'}: file too large; raise the limit")
+    assert "shards" not in str(caught.value)  # no finished work is kept, and none is promised
+    assert files(tmp_path) == before
+
+
+@pytest.mark.slow
+def test_a_full_disk_ends_robomimics_export_as_a_command(tmp_path):
+    """HDF5 would end the whole process when it closes the file, which no test survives."""
+    data = collect_toy(tmp_path / "data", make_spec(n_grasps=20)).root
+    command = f"ulimit -f 4; exec {sys.executable} -m tacgen export data --format robomimic --out e"
+    run = subprocess.run(
+        ["bash", "-c", command], cwd=data.parent, capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 2, run.stderr
+    assert run.stderr.splitlines()[-1].startswith("tacgen: e: file too large")
+    assert "Traceback" not in run.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["data"]
+
+
+def test_a_full_disk_amid_training_states_names_the_file(tmp_path):
+    path = tmp_path / "checkpoint.pt"
+    state = {"weights": torch.arange(100_000.0), "epoch": 3}
+    save_state(path, state)
+    whole = path.read_bytes()
+    with largest_file(1024), pytest.raises(OSError) as caught:
+        save_state(path, state)
+    said = disk_message(caught.value, caught.value.filename, "")
+    assert said.startswith(f"{path}: file too large; raise the limit")
+    assert files(tmp_path) == {path.name: whole}
+
+
+def test_a_run_folder_that_was_begun_on_a_full_disk_is_the_runs(tmp_path):
+    run = RunFolder(tmp_path / "run")
+    with largest_file(1024), pytest.raises(LearningError, match="file too large"):
+        run.prepare({"schema": 1}, {"name": "x" * 5000})
+    assert run.plan_path.is_file()
+    assert not run.recipe_path.is_file()
+    with pytest.raises(LearningError, match="not of this version"):  # it is looked at, not foreign
+        run.prepare({"schema": 1}, {"name": "x"})
+
+
+@pytest.mark.slow
+def test_a_rig_session_that_was_cut_short_is_finished(tmp_path):
+    given = load_rig_recipe("rig_images")
+    recipe = given.model_copy(
+        update={"schedule": given.schedule.model_copy(update={"presses": 3}), "output": "images"}
+    )
+    run_rig(recipe, tmp_path / "whole")
+    whole = files(tmp_path / "whole")
+    presses = tmp_path / "cut/presses"
+    with largest_file(60_000), pytest.raises(OSError) as caught:
+        run_rig(recipe, tmp_path / "cut")
+    assert str(presses) in str(caught.value.filename)
+    run_rig(recipe, tmp_path / "cut")
+    assert files(tmp_path / "cut") == whole
+    # Of a session that is whole, or of another recipe's, nothing is replaced unasked.
+    with pytest.raises(DatasetError, match="exists already; pass --force"):
+        run_rig(recipe, tmp_path / "cut")
+    (presses / "sensor.yaml").unlink()
+    (presses / "press_0001_0.png").unlink()
+    kept = (presses / "press_0000_0.png").stat().st_mtime_ns
+    with pytest.raises(DatasetError, match="exists already; pass --force"):
+        run_rig(recipe.model_copy(update={"seed": 9}), tmp_path / "cut")
+    run_rig(recipe, tmp_path / "cut")
+    assert files(tmp_path / "cut") == whole
+    assert (presses / "press_0000_0.png").stat().st_mtime_ns == kept
+    run_rig(recipe.model_copy(update={"seed": 9}), tmp_path / "cut", force=True)
+    run_rig(recipe.model_copy(update={"seed": 9}), tmp_path / "other")
+    assert files(tmp_path / "cut") == files(tmp_path / "other")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine/press_log.csv").write_text("my own")
+    with pytest.raises(TacgenError, match="not from a run of this command"):
+        run_rig(recipe, tmp_path / "mine", force=True)
+
+
+def test_parts_of_processes_that_are_gone_are_removed_and_others_stay(tmp_path):
+    with subprocess.Popen(["true"]) as gone:
+        gone.wait()
+    host = socket.gethostname()
+    left = tmp_path / f".x.csv.{host}.{gone.pid}.part"
+    others = [tmp_path / f".x.csv.{host}.1.part", tmp_path / f".x.csv.elsewhere.{gone.pid}.part"]
+    for path in (left, *others):
+        path.write_text("half")
+    with atomic_path(tmp_path / "y.csv") as partial:
+        partial.write_text("whole")
+    assert sorted(files(tmp_path)) == sorted([path.name for path in others] + ["y.csv"])
+
+
+def test_an_export_removes_what_a_killed_one_left_but_not_of_one_at_work(tmp_path):
+    left = tmp_path / ".out.abcdefgh.part"
+    left.mkdir()
+    (left / "half").write_text("half")
+    refused = pytest.raises(TacgenError, match="another process")
+    with locked(tmp_path / ".out.lock"), refused, atomic_folder(tmp_path / "out"):
+        pass
+    assert left.exists()
+    with atomic_folder(tmp_path / "out") as partial:
+        (partial / "file").write_text("whole")
+    assert files(tmp_path) == {"out/file": b"whole"}
+    assert not left.exists()
+
+
+def test_weights_can_be_read_by_whoever_the_umask_lets(tmp_path):
+    before = os.umask(0o022)
+    try:
+        save_state(tmp_path / "checkpoint.pt", {"a": torch.zeros(3)})
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "checkpoint.pt").stat().st_mode) == 0o644
+
+
+def as_nobody(ask) -> str:
+    """What ``ask`` returns, or the error that it raises, in a process of another user."""
+    if os.getuid():
+        pytest.skip("becoming another user takes root")
+    reader, writer = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            os.setgroups([])
+            os.setgid(NOBODY)
+            os.setuid(NOBODY)
+            answer = str(ask())
+        except BaseException as error:
+            answer = f"{type(error).__name__}: {error}"
+        os.write(writer, answer.encode())
+        os._exit(0)
+    os.close(writer)
+    os.waitpid(child, 0)
+    with os.fdopen(reader, encoding="utf-8") as answers:
+        return answers.read()
+
+
+@pytest.fixture
+def public(tmp_path):
+    """A folder that other users may look into."""
+    for folder in (tmp_path, *tmp_path.parents[:2]):
+        folder.chmod(0o755)
+    return tmp_path
+
+
+def test_another_user_sees_who_holds_a_lock_and_does_not_free_it(public):
+    with locked(public / "a.lock"):
+        assert as_nobody(lambda: holder_of(public / "a.lock")).startswith(f"process {os.getpid()}")
+        assert holder_of(public / "a.lock") is not None
+    assert as_nobody(lambda: holder_of(public / "a.lock")) == "None"
+
+
+def test_what_may_not_be_read_is_not_called_broken(public):
+    folder = collect_toy(public / "data", make_spec())
+    folder.plan_path.chmod(0o600)
+    assert "ermission denied" in as_nobody(folder.plan)
+    shard = folder.shard_path(0)
+    shard.chmod(0o600)
+    denied = "permission denied; ask its owner for the right to read it"
+    assert as_nobody(lambda: open_shard(shard)) == f"DatasetError: {shard}: {denied}"
+    model = public / "model.safetensors"
+    model.write_bytes(b"0")
+    model.chmod(0o600)
+    assert as_nobody(lambda: load_model(model)) == f"LearningError: {model}: {denied}"
+
+
+def test_a_link_to_nothing_is_named_and_never_replaced(tmp_path):
+    link = tmp_path / "link"
+    link.symlink_to("/nowhere/x")
+    words = "link: is a link to /nowhere/x, which is not there"
+    with pytest.raises(DatasetError, match=words):
+        collect_toy(link, make_spec())
+    with pytest.raises(LearningError, match=words):
+        RunFolder(link).prepare({}, {})
+    with pytest.raises(DatasetError, match="exists already"):
+        refuse_existing(False, link)
+    with pytest.raises(TacgenError, match="exists already"), atomic_folder(link):
+        pass
+
+
+def test_words_are_printed_in_every_locale(tmp_path):
+    locale = {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    recipe = write_world(tmp_path)
+    recipe.write_text(f"{recipe.read_text()}\ndescription: µ is a guess\n", encoding="utf-8")
+    run = subprocess.run(
+        [sys.executable, "-m", "tacgen", "recipe", "show", str(recipe)],
+        cwd=tmp_path, env=os.environ | locale, capture_output=True, check=False,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stderr
+    assert "µ is a guess" in run.stdout.decode("utf-8")
+
+
+def test_a_second_submission_at_the_same_time_is_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    recipe = load_recipe(write_world(tmp_path))
+    jobs = tmp_path / "out/jobs"
+    jobs.mkdir(parents=True)
+    with locked(jobs / ".lock"), pytest.raises(ClusterError, match="submitted by another process"):
+        submission.submit(recipe, tmp_path / "out", "local")
+
+
+@pytest.mark.parametrize(("minutes", "warned"), [(1, True), (2, True), (5, False)])
+def test_a_time_limit_that_leaves_no_time_is_warned_of(minutes, warned, tmp_path, capsys):
+    with contextlib.suppress(RuntimeError, FileNotFoundError, AssertionError):  # without Slurm
+        submission._engine(tmp_path, "slurm", Cluster(time_min=minutes), "r")
+    said = "leaves hardly any time to work" in capsys.readouterr().err
+    assert said == warned
+
+
+def other_version(folder: DatasetFolder) -> None:
+    """Every shard says that another version made it."""
+    for path in [*folder.root.glob("shards/*.json"), folder.manifest_path]:
+        path.write_text(path.read_text().replace('"tacgen": "', '"tacgen": "0.'))
+
+
+def test_shards_that_are_all_of_another_version_are_all_to_be_repaired(tmp_path):
+    folder = collect_toy(tmp_path / "data", make_spec())
+    folder.merge()
+    other_version(folder)
+    assert verify(folder.root).bad_shards == (0, 1, 2)
+
+
+def test_what_repair_cannot_mend_is_told_apart_from_what_it_can(tmp_path):
+    folder = collect_toy(tmp_path / "data", make_spec())
+    folder.merge()
+    assert verify(folder.root).foreign == ()
+    shard = folder.shard_path(0).read_bytes()
+    folder.shard_path(7).write_bytes(shard)  # the dataset has three
+    folder.line_path(2).unlink()
+    folder.manifest_path.unlink()
+    found = verify(folder.root)
+    assert found.bad_shards == (2,)  # a file without its line is made again
+    (line,) = found.foreign
+    assert line.startswith("shards/shard-00007.h5")
+    assert line.endswith("remove it, and the .json of its name")
+    folder.shard_path(7).unlink()
+    assert verify(folder.root).foreign == ()
+    np.testing.assert_equal(folder.shard_path(0).read_bytes(), shard)
+
+
+@pytest.mark.slow
+def test_verify_and_repair_agree(tmp_path):
+    """After ``collect --repair`` ends with 0, ``verify`` does so too; both end with 1 otherwise."""
+    recipe = write_world(tmp_path, grid="{force_n: [3, 25], y_mm: [0], z_mm: [60]}")
+
+    def tacgen(*arguments):
+        return subprocess.run(
+            [sys.executable, "-m", "tacgen", *arguments, *(() if arguments[0] == "verify" else
+             (str(recipe), "--out", "out", "--workers", "1"))],
+            cwd=tmp_path, env=os.environ, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+
+    assert tacgen("collect").returncode == 0
+    folder = DatasetFolder(tmp_path / "out")
+    whole = folder.shard_path(0).read_bytes()
+    other_version(folder)
+    assert tacgen("verify", "out").returncode == 1
+    assert tacgen("collect", "--repair").returncode == 0
+    assert tacgen("verify", "out").returncode == 0
+    assert folder.shard_path(0).read_bytes() == whole
+    folder.shard_path(5).write_bytes(whole)
+    for arguments in (("collect", "--repair"), ("verify", "out")):
+        run = tacgen(*arguments)
+        assert run.returncode == 1
+        assert "shards/shard-00005.h5: is not in the manifest: no shard of this data" in run.stderr
