@@ -8,6 +8,7 @@ import io
 import logging
 import signal
 import sys
+import threading
 import traceback
 
 import typer
@@ -52,6 +53,8 @@ def _stop(message: str, exit_code: int) -> None:
 
 
 def _interrupt(_signal: int, _frame: object) -> None:
+    # The thread of a pool whose processes are ended under it has nothing to say.
+    threading.excepthook = lambda _thrown: None
     raise Interrupted
 
 

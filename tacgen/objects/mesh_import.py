@@ -198,6 +198,8 @@ def _narrowest_mm(vertices_mm: NDArray[np.float64]) -> float:
 
     Source: Houle & Toussaint 1988, Computing the width of a set.
     """
+    if len(vertices_mm) < 4:
+        return 0.0
     corners = vertices_mm[ConvexHull(vertices_mm, qhull_options="QJ").vertices]
     normals = ConvexHull(corners, qhull_options="QJ").equations[:, :3]
     return min(float(np.ptp(corners @ normal)) for normal in normals)

@@ -20,7 +20,7 @@ CHECKOUT = Path(__file__).parents[2]
 COMPILED = [
     ".".join(path.relative_to(CHECKOUT).with_suffix("").parts)
     for path in CHECKOUT.glob("tacgen/**/*.py")
-    if "numba" in path.read_text(encoding="utf-8")
+    if "njit" in path.read_text(encoding="utf-8")
 ]
 COUNTED = {"include": ["tacgen"], "exclude": COMPILED}
 

@@ -352,8 +352,8 @@ def test_scores_by_value_put_equal_values_together_whatever_their_rounding():
 @pytest.mark.parametrize(
     ("name", "changes"),
     [
-        ("sensor", {"inputs": Inputs({"sensor": "another"})}),
-        ("table", {"calibration": {"table": "another"}}),
+        ("sensor", {"inputs": Inputs({"sensor": "another", "table": "one"})}),
+        ("table", {"inputs": Inputs({"sensor": "one", "table": "another"})}),
         ("markers", {"recipe": {"optics": {"markers": True}, "objects": ["can", "cup"]}}),
         ("pad", {"pads": ("right",)}),
     ],
@@ -361,7 +361,7 @@ def test_scores_by_value_put_equal_values_together_whatever_their_rounding():
 def test_images_taken_in_another_way_are_refused_or_named(tmp_path, name, changes, single):
     """Of equal size, and all else the same."""
     recipe = {"optics": {"markers": False}, "objects": ["can", "cup"]}
-    usual = {"inputs": Inputs({"sensor": "one"}), "recipe": recipe}
+    usual = {"inputs": Inputs({"sensor": "one", "table": "one"}), "recipe": recipe}
     run, data, other = tmp_path / "run", tmp_path / "data", tmp_path / "other"
     collect(data, make_spec(**usual))
     collect(other, make_spec(**(usual | changes)))

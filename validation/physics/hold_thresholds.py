@@ -70,7 +70,9 @@ def imported(name: str, angle_rad: float) -> GraspObject:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"{name}.stl"
         solid.export(path)
-        return add_object(path, mass_kg=MASS_KG, into=Path(folder) / "objects").object
+        # A capsule on its tip would fall; here it is held as it stands.
+        own = Path(folder) / "objects"
+        return add_object(path, mass_kg=MASS_KG, into=own, keep_pose=True).object
 
 
 def holds(

@@ -174,9 +174,15 @@ def _explain_depths(
     found = depth_curves.explain_curves(curves, radius_mm)
     depth_curves.check_identified(log, found)
     known = depth_curves.known_radii(curves, radius_mm)[0]
+    zeros_n = [curve.zero_n for curve in curves if curve.zero_n] or [0.0]
+    untared = (
+        f"{log}: force_normal_n is {min(zeros_n):.3g} to {max(zeros_n):.3g} N at rest: that is "
+        "subtracted from each curve; tare the gauge before you record"
+    )
     warnings = (
         *table.notes,
         *table.unclear,
+        *([untared] if any(zeros_n) else []),
         *depth_curves.depth_warnings(log, found, known),
     )
     provenance: dict[str, Any] = {

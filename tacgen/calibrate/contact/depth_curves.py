@@ -33,18 +33,24 @@ SYSTEMATIC_CORRELATION = 0.5
 """Correlation of neighbouring residuals above which they are shape, not noise."""
 MIN_SHARED_P = 0.05
 """p of Cochran's test below which one k_n for all curves is given up; the usual 5 %."""
+MIN_AT_REST = 3  # rows before the contact that state the gauge's zero
+LEAST_ZERO_SHARE = 0.005  # of the force's span: less does not matter beside any interval
 RISE_SHARE = 0.01  # of the largest force: up to there a curve has not risen
 RISE_EXPECTED_SHARE = 0.03  # of it: a fit that expects more there puts the contact too early
 
 
 @dataclass(frozen=True, slots=True)
 class DepthCurve:
-    """One curve: depth and force (N,), in the order of time; the ball's radius where known."""
+    """One curve: depth and force (N,), in the order of time; the ball's radius where known.
+
+    ``zero_n`` is what the gauge read before the contact; it is subtracted already.
+    """
 
     name: str
     depth_mm: FloatArray
     force_n: FloatArray
     radius_mm: float | None = None
+    zero_n: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,9 +165,30 @@ def read_depth_curves(table: LogTable) -> tuple[DepthCurve, ...]:
         radius = numbers.get("radius_mm", np.full(len(label), np.nan))[rows]
         one_ball = np.isfinite(radius).all() and np.ptp(radius) == 0 and radius[0] > 0
         ball_mm = float(radius[0]) if one_ball else None
-        curves.append(DepthCurve(str(name) or "1", depth[known], force[known], ball_mm))
+        zero_n = _zero_n(depth[known], force[known])
+        curves.append(
+            DepthCurve(str(name) or "1", depth[known], force[known] - zero_n, ball_mm, zero_n)
+        )
     PressError.raise_if(problems)
     return tuple(curves)
+
+
+def _zero_n(depth_mm: FloatArray, force_n: FloatArray) -> float:
+    """What a gauge reads before the contact, N; 0 where too few rows say it, or it is no more.
+
+    Rows without depth are at rest where their forces scatter alone: else the contact came earlier.
+    """
+    at_rest = force_n[depth_mm <= 0]
+    if len(at_rest) < MIN_AT_REST:
+        return 0.0
+    zero_n, span_n = float(np.median(at_rest)), float(np.ptp(force_n))
+    scatter_n = 1.4826 * float(np.median(np.abs(at_rest - zero_n)))
+    noise_n = 1.4826 * float(np.median(np.abs(np.diff(force_n, 2)))) / math.sqrt(6.0)
+    rests = scatter_n <= max(2.0 * noise_n, RISE_SHARE * span_n)
+    is_clear = abs(zero_n) > max(
+        5.0 * scatter_n / math.sqrt(len(at_rest)), LEAST_ZERO_SHARE * span_n
+    )
+    return zero_n if rests and is_clear else 0.0
 
 
 def explain_curves(curves: tuple[DepthCurve, ...], radius_mm: float | None = None) -> DepthReport:

@@ -282,7 +282,7 @@ def _law_of(channels: dict[str, result.ChannelDiagnosis]) -> ContactLaw:
 
 
 def _numbered_in_order(columns: Columns, *, session_clock: bool) -> dict[str, NDArray[Any]]:
-    """The columns (N,) with trials numbered one by one, in the order of pressing.
+    """The columns (N,) with trials numbered one by one and sorted, in the order of pressing.
 
     Effects that follow the number of presses, and what is held out, are then of any numbering.
     """
@@ -291,7 +291,9 @@ def _numbered_in_order(columns: Columns, *, session_clock: bool) -> dict[str, ND
     start = np.asarray(columns["time_s"])[first] if session_clock else np.zeros(numbers.size)
     rank = np.empty(numbers.size, dtype=trial.dtype)
     rank[np.lexsort((numbers, start))] = np.arange(numbers.size)
-    return {**columns, "trial": numbers.min() + rank[place]}
+    order = np.argsort(rank[place], kind="stable")
+    numbered = {**columns, "trial": numbers.min() + rank[place]}
+    return {name: np.asarray(values)[order] for name, values in numbered.items()}
 
 
 def _usable_columns(

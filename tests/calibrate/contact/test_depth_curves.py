@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
+from tacgen.calibrate.contact.command import calibrate_contact
 from tacgen.calibrate.contact.depth_curves import (
     DepthCurve,
     Pooled,
@@ -198,3 +199,22 @@ def test_measured_curves_by_the_command(measured_data, tmp_path):
     assert len(curves) == 2
     assert all(found["r_squared"] > 0.998 for found in curves.values())
     assert out.exists()
+
+
+@pytest.mark.parametrize("zero_n", [0.0, 0.1, -0.3])
+def test_an_untared_gauge_is_subtracted_and_said(tmp_path, zero_n):
+    """Curves that begin at rest state their zero; k_n is then that of a gauge that was tared."""
+    rng = np.random.default_rng(4)
+    parts = []
+    for curve in range(5):
+        depth = np.concatenate([np.zeros(10), np.linspace(0.0, rng.uniform(0.6, 1.0), 60)])
+        force = np.pi * depth**2 * (4.0 - depth / 3) / 5.135 + zero_n
+        noisy = force + 0.01 * rng.normal(size=len(depth))
+        rows = {"curve": curve, "force_normal_n": noisy, "depth_mm": depth, "radius_mm": 4.0}
+        parts.append(pd.DataFrame(rows))
+    pd.concat(parts).to_csv(tmp_path / "curves.csv", index=False)
+    found = calibrate_contact(tmp_path / "curves.csv", tmp_path / "contact.yaml")
+    assert found.law.k_n_mm3_per_n.value == pytest.approx(5.135, rel=0.02)
+    assert any("at rest: that is subtracted" in warning for warning in found.warnings) == bool(
+        zero_n
+    )
