@@ -57,10 +57,6 @@ def decode_rgb(
     The header is read first: a small file can unfold into gigabytes. A turn that EXIF asks for is
     made. What is not as usual is said once for all of ``kind_of``. Raises as ``read_rgb``.
     """
-    if _is_plain_png(data):
-        levels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR_RGB)
-        if levels is not None:
-            return np.asarray(levels, np.uint8)
     from PIL import Image, UnidentifiedImageError
 
     found: NDArray[Any] | None = None
@@ -91,14 +87,6 @@ def decode_rgb(
     quarters, mirrored = _TURNS[turn]
     rgb = np.rot90(rgb, quarters)
     return np.ascontiguousarray(rgb[:, ::-1] if mirrored else rgb)
-
-
-def _is_plain_png(data: bytes) -> bool:
-    """Whether these are one PNG picture of 8 bits in red, green and blue, upright and not huge."""
-    width, height = (int.from_bytes(data[k : k + 4], "big") for k in (16, 20))
-    is_usual = data.startswith(b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR") and data[24:26] == b"\x08\x02"
-    odd = (b"acTL", b"eXIf", b"tRNS")  # an animation, a turn, transparent pixels
-    return is_usual and 0 < max(width, height) <= MAX_SIDE_PX and not any(k in data for k in odd)
 
 
 def rgb_of_array(

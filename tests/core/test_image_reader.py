@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tacgen.core import safe_io
 from tacgen.core.errors import TacgenError
 from tacgen.core.safe_io import read_rgb, rgb_of_array
 
@@ -142,34 +141,3 @@ def test_a_damaged_file_is_no_image(tmp_path):
     (tmp_path / "a.png").write_bytes(buffer.getvalue()[:40])
     with pytest.raises(TacgenError, match="cannot be read as an image"):
         read_rgb(tmp_path / "a.png")
-
-
-@pytest.mark.parametrize(
-    "kind", ["plain", "grey", "transparent colour", "turned", "16 bits", "cut"]
-)
-def test_the_short_way_of_plain_pngs_gives_what_the_long_one_gives(kind, tmp_path, monkeypatch):
-    levels = np.random.default_rng(3).integers(0, 255, (12, 16, 3), dtype=np.uint8)
-    if kind == "16 bits":
-        cv2.imwrite(str(tmp_path / "a.png"), levels.astype(np.uint16) * 257)
-    else:
-        image = Image.fromarray(levels).convert("L" if kind == "grey" else "RGB")
-        extra: dict[str, object] = {}
-        if kind == "transparent colour":
-            extra["transparency"] = tuple(map(int, levels[0, 0]))
-        if kind == "turned":
-            extra["exif"] = image.getexif()
-            extra["exif"][0x0112] = 6
-        image.save(tmp_path / "a.png", **extra)
-    if kind == "cut":
-        (tmp_path / "a.png").write_bytes((tmp_path / "a.png").read_bytes()[:200])
-
-    def read():
-        try:
-            return read_rgb(tmp_path / "a.png").tolist()
-        except TacgenError as error:
-            return str(error)
-
-    assert safe_io._is_plain_png((tmp_path / "a.png").read_bytes()) == (kind in ("plain", "cut"))
-    short = read()
-    monkeypatch.setattr(safe_io, "_is_plain_png", lambda _: False)
-    assert short == read()
