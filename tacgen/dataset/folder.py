@@ -334,7 +334,8 @@ def _changed_input(
     """A line, or a few, on an input whose content is another than that of the dataset."""
     engine, other, old, new = made["engine"], plan["engine"], made["versions"], plan["versions"]
     if role == "engine":  # whose version is not known where it is not installed
-        made_by, here = [old[engine]] * (engine in old), [new[other]] * (other in new)
+        made_by = [old[engine]] if engine in old else []
+        here = [new[other]] if other in new else []
         there, now = (" ".join([name, *v]) for name, v in ((engine, made_by), (other, here)))
         yield (
             f"engine: {there} there, {now} now; install it with `pip install "

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from tacgen.cluster import submission
 from tacgen.collection.recipe import Cluster, load_recipe
@@ -24,13 +23,13 @@ from tacgen.dataset import DatasetFolder
 from tacgen.dataset.export import export_dataset
 from tacgen.dataset.shard import open_shard
 from tacgen.dataset.verify import verify
-from tacgen.learning.checkpoint import load_model, save_state
 from tacgen.learning.run_folder import RunFolder
 from tacgen.rig import load_rig_recipe, run_rig
 from tests.dataset.conftest import collect_toy, make_spec
 from tests.small_world import write_world
 
 NOBODY = 65534
+CHECKPOINT = "tacgen.learning.checkpoint"  # imports PyTorch
 
 
 @contextlib.contextmanager
@@ -77,11 +76,12 @@ def test_a_full_disk_ends_robomimics_export_as_a_command(tmp_path):
 
 def test_a_full_disk_amid_training_states_names_the_file(tmp_path):
     path = tmp_path / "checkpoint.pt"
+    torch, checkpoint = pytest.importorskip("torch"), pytest.importorskip(CHECKPOINT)
     state = {"weights": torch.arange(100_000.0), "epoch": 3}
-    save_state(path, state)
+    checkpoint.save_state(path, state)
     whole = path.read_bytes()
     with largest_file(1024), pytest.raises(OSError) as caught:
-        save_state(path, state)
+        checkpoint.save_state(path, state)
     said = disk_message(caught.value, caught.value.filename, "")
     assert said.startswith(f"{path}: file too large; raise the limit")
     assert files(tmp_path) == {path.name: whole}
@@ -159,9 +159,10 @@ def test_an_export_removes_what_a_killed_one_left_but_not_of_one_at_work(tmp_pat
 
 
 def test_weights_can_be_read_by_whoever_the_umask_lets(tmp_path):
+    torch, checkpoint = pytest.importorskip("torch"), pytest.importorskip(CHECKPOINT)
     before = os.umask(0o022)
     try:
-        save_state(tmp_path / "checkpoint.pt", {"a": torch.zeros(3)})
+        checkpoint.save_state(tmp_path / "checkpoint.pt", {"a": torch.zeros(3)})
     finally:
         os.umask(before)
     assert stat.S_IMODE((tmp_path / "checkpoint.pt").stat().st_mode) == 0o644
@@ -216,6 +217,8 @@ def test_what_may_not_be_read_is_not_called_broken(public):
     model = public / "model.safetensors"
     model.write_bytes(b"0")
     model.chmod(0o600)
+    pytest.importorskip("torch")
+    load_model = pytest.importorskip(CHECKPOINT).load_model
     assert as_nobody(lambda: load_model(model)) == f"LearningError: {model}: {denied}"
 
 
