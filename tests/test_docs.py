@@ -147,7 +147,7 @@ def test_the_script_for_a_labs_csv_gives_the_law(tmp_path, monkeypatch):
     text = (ROOT / "docs" / "howto" / "csv_to_law.md").read_text(encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(0)
-    lines = ["# rig 3, 4 May", "Timestamp;Press #;Fz [N];Depth [mm]"]
+    lines = ["# rig 3, 4 May", "Timestamp [ms];Press #;Fz [N];Depth [mm]"]
     for row in range(640):
         press, sample = divmod(row, 80)
         depth = max(0.0, (0.6 + 0.05 * press) * np.sin(np.pi * sample / 79) - 0.05)
@@ -156,7 +156,7 @@ def test_the_script_for_a_labs_csv_gives_the_law(tmp_path, monkeypatch):
     (tmp_path / "lab.csv").write_text("\n".join(lines), encoding="utf-8")
     script = re.search(r'```python title="convert.py"\n(.*?)```', text, re.S)[1]
     subprocess.run([sys.executable, "-c", script], check=True)
-    run("tacgen calibrate contact press_log.csv --out contact.yaml")
+    run("tacgen calibrate contact press_log.csv --flip force --out contact.yaml")
     law = yaml.safe_load((tmp_path / "contact.yaml").read_text(encoding="utf-8"))
     assert law["k_n_mm3_per_n"]["value"] == pytest.approx(5.2, rel=0.02)  # three times the noise
 

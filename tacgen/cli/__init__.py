@@ -41,7 +41,10 @@ def main() -> None:
     except OSError as error:
         fix = "check the path and its permissions"
         _stop(disk_message(error, error.filename or "", fix), TacgenError.exit_code)
-    except Interrupted:
+    except BaseException as error:
+        # Libraries that are interrupted as they write end in errors of their own.
+        if isinstance(error, SystemExit) or not _interruptions:
+            raise
         _stop("interrupted; finished work is kept", 130)
 
 
@@ -52,7 +55,11 @@ def _stop(message: str, exit_code: int) -> None:
     sys.exit(exit_code)
 
 
+_interruptions: list[int] = []
+
+
 def _interrupt(_signal: int, _frame: object) -> None:
+    _interruptions.append(_signal)
     # The thread of a pool whose processes are ended under it has nothing to say.
     threading.excepthook = lambda _thrown: None
     raise Interrupted

@@ -59,3 +59,24 @@ def test_exports_end_whenever_they_are_interrupted(layout: str, tmp_path: Path) 
         assert code == 130, said
         assert "Traceback" not in said, said
         assert [path.name for path in tmp_path.glob(f"*e{k}*")] == []
+
+
+def test_what_a_library_makes_of_an_interruption_is_one():
+    """Of a writer that ends in an error of its own when it is cut off, as PyTorch's does."""
+    script = """
+import os, signal, time
+import tacgen.cli
+def app():
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(5)
+    except BaseException:
+        raise RuntimeError("unexpected position")
+tacgen.cli.app = app
+tacgen.cli.main()
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 130
+    assert done.stderr == "tacgen: interrupted; finished work is kept\n"
