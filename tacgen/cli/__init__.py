@@ -4,6 +4,7 @@ Imports of the stages are inside the commands, so that ``tacgen --help`` is fast
 only affects the commands that need it.
 """
 
+import atexit
 import io
 import logging
 import signal
@@ -30,6 +31,8 @@ def main() -> None:
             continue  # as `nohup` wants
         signal.signal(number, _interrupt)
     signal.signal(signal.SIGALRM, _interrupt)
+    # Python, on its way out, would give the signals their deadly meaning back: all is done by then.
+    atexit.register(_ignore_signals)
     sys.unraisablehook = _raise_again
     for stream in (sys.stdout, sys.stderr):  # whatever the locale: "mm³" is not in all of them
         if isinstance(stream, io.TextIOWrapper):
@@ -46,6 +49,11 @@ def main() -> None:
         if isinstance(error, SystemExit) or not _interruptions:
             raise
         _stop("interrupted; finished work is kept", 130)
+
+
+def _ignore_signals() -> None:
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _stop(message: str, exit_code: int) -> None:

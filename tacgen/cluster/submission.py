@@ -168,23 +168,13 @@ def submit_command(
     require_command(command)
     require_executor(executor)
     with _one_at_a_time(out):
-        return _submit_command(command, out, run, executor, cluster)
-
-
-def _submit_command(
-    command: Sequence[str],
-    out: Path,
-    run: Callable[[Sequence[str]], None],
-    executor: str,
-    cluster: Cluster,
-) -> Submitted:
-    if alive := _alive(job_states(out)):
-        msg = f"{out}: job {alive} still runs or waits; wait for it (`tacgen status {out}`)"
-        raise ClusterError(msg)
-    folder = JobsFolder(out.resolve()).create()
-    task = Job(partial(_run_in, Path.cwd(), run, tuple(command)), note_path(folder, 0))
-    jobs = _hand_over([task], folder, _engine(folder, executor, cluster, command[0]), 1)
-    return Submitted(str(folder), executor, 0, jobs, 1)
+        if alive := _alive(job_states(out)):
+            msg = f"{out}: job {alive} still runs or waits; wait for it (`tacgen status {out}`)"
+            raise ClusterError(msg)
+        folder = JobsFolder(out.resolve()).create()
+        task = Job(partial(_run_in, Path.cwd(), run, tuple(command)), note_path(folder, 0))
+        jobs = _hand_over([task], folder, _engine(folder, executor, cluster, command[0]), 1)
+        return Submitted(str(folder), executor, 0, jobs, 1)
 
 
 def wait_for_command(out: Path) -> tuple[TaskState, ...]:
@@ -260,7 +250,9 @@ def _engine(folder: Path, executor: str, cluster: Cluster, name: str) -> Any:
         return here
     if cluster.time_min * 60 <= 2 * SIGNAL_DELAY_S:
         limit = f"a time limit of {cluster.time_min} min"
-        fix = f"jobs are told to stop {SIGNAL_DELAY_S} s before it; give cluster.time_min more"
+        fix = (
+            f"jobs get the signal to stop {SIGNAL_DELAY_S} s before it; give cluster.time_min more"
+        )
         print_status(f"warning: {limit} leaves hardly any time to work: {fix}")
     slurm = submitit.SlurmExecutor(folder, max_num_timeout=cluster.max_timeouts)
     slurm.update_parameters(**slurm_parameters(cluster, name))

@@ -1,19 +1,28 @@
 """A dataset's executed grasps as a ``torch`` dataset."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch.utils.data import Dataset as TorchDataset
 
 from tacgen.core.errors import DatasetError, require_known
 from tacgen.core.records import LABEL_NOT_EXECUTED
 from tacgen.dataset.schema import SPLITS
 
-if TYPE_CHECKING:
-    from tacgen.dataset.reader import Dataset
+
+class Grasps(Protocol):
+    """What is read of a ``tacgen.Dataset``."""
+
+    root: Path
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Each grasp's values, by column."""
+
+    def rgb(self, index: int, pad: str | None = None, frame: int | None = None) -> NDArray[Any]:
+        """The images of a grasp, or one of its frames."""
 
 
 class TorchGrasps(TorchDataset[tuple[torch.Tensor, torch.Tensor]]):
@@ -23,7 +32,7 @@ class TorchGrasps(TorchDataset[tuple[torch.Tensor, torch.Tensor]]):
     side of the split.
     """
 
-    def __init__(self, dataset: Dataset, split: str | None, frames: str) -> None:
+    def __init__(self, dataset: Grasps, split: str | None, frames: str) -> None:
         require_known("split", split or "train", SPLITS, DatasetError)
         require_known("frames", frames, ("grasp", "sequence"), DatasetError)
         self._dataset, self._frames = dataset, frames

@@ -69,8 +69,8 @@ def add_object(
     ``yaw_rad`` is the angle about z, in the mesh's own axes, along which the fingers shall close:
     the mesh is turned by its negative; by default that at which both pads meet it, if they do not
     along x. An object that would topple is rested as it comes to lie, unless ``keep_pose``. The
-    suggested places of grasps are those that the simulation could execute. ``on_step`` is told
-    each of the ``STEPS`` as it begins.
+    suggested places of grasps are those that the simulation could execute. ``on_step`` is called
+    with each of the ``STEPS`` as it begins.
 
     Raises ``ObjectError`` if the arguments or the mesh cannot be used, or the object exists and not
     ``force``.

@@ -65,9 +65,13 @@ class Reading(Frame):
             "shear_sum_y_mm": self.shear_sum_mm[1],
         }
         known = {k: float(v) if math.isfinite(v) else None for k, v in numbers.items()}
-        told = {"message": self.message, "steep_share": round(self.steep_share, 4)}
-        told |= {"lower_bound": self.lower_bound}
-        return {"contact": bool(self.contact_mask.any()), **known, **told}
+        return {
+            "contact": bool(self.contact_mask.any()),
+            **known,
+            "message": self.message,
+            "steep_share": round(self.steep_share, 4),
+            "lower_bound": self.lower_bound,
+        }
 
 
 class ImageReader:

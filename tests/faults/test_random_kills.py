@@ -13,5 +13,4 @@ def test_a_command_that_is_ended_at_any_moment_ends_and_goes_on(name: str, tmp_p
     prepare(tmp_path)
     found = list(trials(tmp_path, 2, (name,), seed=1))
     assert not [trial for trial in found if trial.problems]
-    if not any(trial.was_amid for trial in found):
-        pytest.skip("here each run had ended before its signal")
+    assert any(trial.was_amid for trial in found)
