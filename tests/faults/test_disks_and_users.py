@@ -34,13 +34,20 @@ CHECKPOINT = "tacgen.learning.checkpoint"  # imports PyTorch
 
 @contextlib.contextmanager
 def largest_file(n_bytes: int) -> Iterator[None]:
-    """No file of this process may grow beyond ``n_bytes``: its disk is as good as full."""
+    """No file of this process may grow beyond ``n_bytes``: its disk is as good as full.
+
+    Modules that are imported meanwhile are not compiled to files: some Pythons leave such
+    files cut short, and every later process would fail on them.
+    """
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    compiles = sys.dont_write_bytecode
+    sys.dont_write_bytecode = True
     resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes, hard))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        sys.dont_write_bytecode = compiles
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -64,7 +71,7 @@ def test_a_full_disk_ends_an_export_with_one_message_and_nothing_left(layout, tm
 def test_a_full_disk_ends_robomimics_export_as_a_command(tmp_path):
     """HDF5 would end the whole process when it closes the file, which no test survives."""
     data = collect_toy(tmp_path / "data", make_spec(n_grasps=20)).root
-    command = f"ulimit -f 4; exec {sys.executable} -m tacgen export data --format robomimic --out e"
+    command = f"ulimit -f 4; exec {sys.executable} -Bm tacgen export data --format robomimic --out e"
     run = subprocess.run(
         ["bash", "-c", command], cwd=data.parent, capture_output=True, text=True, check=False
     )
