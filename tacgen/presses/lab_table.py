@@ -63,8 +63,9 @@ _FORCE |= dict.fromkeys(("kg", "kgf", "kp"), FORCE_UNITS_N["kgf"])
 _LENGTH = {"mm": 1.0, "m": 1e3, "cm": 10.0, "um": 1e-3, "micron": 1e-3, "microns": 1e-3, "nm": 1e-6}
 _LENGTH |= {"in": 25.4, "inch": 25.4}
 _TIME = dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0)
-_TIME |= {"ms": 1e-3, "msec": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
-_VOLUME = {"mm3": 1.0, "ul": 1.0, "cm3": 1e3, "ml": 1e3, "m3": 1e9, "um3": 1e-9, "nl": 1e-3}
+_TIME |= {"ms": 1e-3, "msec": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}
+_VOLUME = {"mm3": 1.0, "ul": 1.0, "cm3": 1e3, "ml": 1e3, "m3": 1e9, "um3": 1e-9}
+_VOLUME |= {"uL": 1.0, "mL": 1e3}
 _UNITS = {"n": _FORCE, "mm": _LENGTH, "s": _TIME, "mm3": _VOLUME}
 """What one of each unit is in the unit that ends a column's name."""
 
@@ -87,7 +88,17 @@ _SYNONYMS: Mapping[str, tuple[str, ...]] = {
     "depth_mm": (
         *("depth", "indentation", "indentation depth", "press depth", "penetration", "travel"),
         *("penetration depth", "displacement", "compression", "compressive displacement"),
-        *("extension", "compressive extension", "tiefe", "eindringtiefe", "weg", "standardweg"),
+        *(
+            "extension",
+            "compressive extension",
+            "distance",
+            "deformation",
+            "stroke",
+            "tiefe",
+            "eindringtiefe",
+            "weg",
+            "standardweg",
+        ),
         *("profondeur", "enfoncement", "déplacement", "profundidad", "desplazamiento"),
     ),
     "radius_mm": ("radius", "ball radius", "indenter radius", "tip radius", "probe radius"),
@@ -494,18 +505,16 @@ def _decimal_mark(columns: Iterable[Cells], delimiter: str) -> str:
     Numbers that may have thousands parted (`1.234`) say nothing beside others. On their own they
     are such where other numbers of their column are whole and below a thousand.
     """
-    clear, unclear = set[str](), set[str]()
+    clear, parted, unclear = set[str](), set[str](), set[str]()
     for column in columns:
         marks = [_mark_in(match[1]) for cell in column if (match := _MARKED.fullmatch(cell))]
         clear |= {mark for mark in marks if mark in (",", ".")}
-        thousands = {mark for mark in marks if mark in ("either ,", "either .")}
+        either = {mark[-1] for mark in marks if mark in ("either ,", "either .")}
         whole = sum(cell.isdecimal() and len(cell) < 4 and cell != "0" for cell in column)
-        if thousands and whole > LEAST_WHOLE * len(column):
-            thousands = {"." if mark[-1] == "," else "," for mark in thousands}
-        elif delimiter == ",":
-            thousands -= {"either ,"}
-        unclear |= {mark[-1] for mark in thousands}
-    found = clear or unclear
+        if whole > LEAST_WHOLE * len(column):
+            parted |= {"." if mark == "," else "," for mark in either}
+        unclear |= either - {delimiter}
+    found = clear or parted or unclear
     return found.pop() if len(found) == 1 else "" if found else "."
 
 
@@ -608,6 +617,9 @@ def read_table(path: Path) -> Table:
     if doubled:
         msg = f"{path}: columns appear twice: {', '.join(doubled)}; keep one of each"
         raise PressError(msg)
+    if named and all(_is_number(name) for name, _ in named):
+        msg = f"{path}: its first row holds numbers; write the columns' names above it"
+        raise PressError(msg)
     if not named or not len(read.rows):
         msg = f"{path}: holds no samples; a press log has one row a sample under its header"
         raise PressError(msg)
@@ -633,53 +645,83 @@ def _csv(path: Path) -> _Parts:
     """Header, columns, each row's number, delimiter; cells that a row lacks are empty."""
     text = _decoded(path.read_bytes()).replace("\r\n", "\n").replace("\r", "\n")
     text = text.replace("\u2212", "-")  # the sign that word processors write
+    of_formulas = '=""' in text  # as spreadsheets are told to keep a text: ="1.0"
     lines = text.split("\n")
     start, delimiter = _header_line(lines)
     lines[start] = lines[start].lstrip().lstrip(MARKS)
     if delimiter == " ":
         lines = [" ".join(line.split()) for line in lines]
     body = io.StringIO("\n".join(lines[start:]), newline="")
-    rows = csv.reader(body, delimiter=delimiter)
-    header = next(rows, [])
+    reader = csv.reader(body, delimiter=delimiter)
+    header = next(reader, [])
     if not header:
         msg = "No columns to parse from file"
         raise ValueError(msg)
-    filled, numbers, last = list[list[str]](), list[int](), ""
-    blocks, is_new, repeated = list[int](), False, 0
-    names = [name.strip() for name in header]
-    for number, row in enumerate(rows, start=start + 2):
+    rows = _Rows([name.strip() for name in header])
+    for number, row in enumerate(reader, start=start + 2):
         first = row[0].strip() if row else ""
-        if first.startswith(COMMENT_MARKS) and first.lower() not in EMPTY_CELLS:
-            continue
-        while len(row) > len(header) and not row[-1].strip():
-            row = row[:-1]  # a delimiter at the row's end
-        if len(row) > len(header):
-            msg = f"Expected {len(header)} fields in line {number}, saw {len(row)}"
-            raise ValueError(msg)
-        last = row[-1] if row else ""
-        cells = [cell.strip() for cell in row] + [""] * (len(header) - len(row))
-        if cells == names:
-            repeated, is_new = repeated + 1, True
-        elif all(cell.lower() in EMPTY_CELLS for cell in cells):
-            is_new = True
-        else:
-            blocks.append(blocks[-1] + is_new if blocks else 0)
-            filled.append(cells)
-            numbers.append(number)
-            is_new = False
-    if "\n" in last and not text.rstrip().endswith('"'):
-        begin = ", ".join(filled[-1]).splitlines()[0][:40]
+        if not first.startswith(COMMENT_MARKS) or first.lower() in EMPTY_CELLS:
+            rows.add(number, row, of_formulas=of_formulas)
+    if "\n" in rows.last and not text.rstrip().endswith('"'):
+        begin = ", ".join(rows.filled[-1]).splitlines()[0][:40]
         msg = f"a quote that is not closed in the row that begins with {begin!r}"
         raise ValueError(msg)
-    if filled and (units := _unit_row(filled[0])):
-        header = [
-            f"{name} [{unit}]" if unit else name for name, unit in zip(header, units, strict=True)
-        ]
-        del filled[0], numbers[0], blocks[0]
-    columns = [list(column) for column in zip(*filled, strict=True)] or [[] for _ in header]
-    notes = (f"the header stands {repeated + 1} times",) if repeated else ()
-    numbered = np.array(numbers, dtype=np.int64), np.array(blocks, dtype=np.int64)
-    return _Parts(header, list(columns), *numbered, delimiter, notes)
+    columns = [list(column) for column in zip(*rows.filled, strict=True)] or [[] for _ in header]
+    return _Parts(
+        header=[
+            f"{name} [{unit}]" if unit else name
+            for name, unit in zip(header, rows.units or [""] * len(header), strict=True)
+        ],
+        columns=list(columns),
+        rows=np.array(rows.numbers, dtype=np.int64),
+        blocks=np.array(rows.blocks, dtype=np.int64),
+        delimiter=delimiter,
+        notes=(f"the header stands {rows.headers} times",) if rows.headers > 1 else (),
+    )
+
+
+@dataclass(slots=True)
+class _Rows:
+    """Rows below a header: samples, in blocks that blank lines and further headers part."""
+
+    names: list[str]
+    filled: list[list[str]] = field(default_factory=list)
+    numbers: list[int] = field(default_factory=list)
+    blocks: list[int] = field(default_factory=list)
+    units: list[str] = field(default_factory=list)
+    headers: int = 1
+    last: str = ""
+    _is_new: bool = True
+
+    def add(self, number: int, row: list[str], *, of_formulas: bool) -> None:
+        """Take the line ``number`` for what it is; raises ``ValueError`` if it is too long."""
+        while len(row) > len(self.names) and not row[-1].strip():
+            row = row[:-1]  # a delimiter at the row's end
+        if len(row) > len(self.names):
+            msg = f"Expected {len(self.names)} fields in line {number}, saw {len(row)}"
+            raise ValueError(msg)
+        self.last = row[-1] if row else ""
+        cells = [cell.strip() for cell in row] + [""] * (len(self.names) - len(row))
+        if of_formulas:
+            cells = [cell[2:-1] if cell.startswith('="') else cell for cell in cells]
+        if cells == self.names:
+            self._is_new, self.headers = True, self.headers + 1
+            self._drop_title()
+        elif self._is_new and (units := _unit_row(cells)):
+            self.units = self.units or units
+        elif all(cell.lower() in EMPTY_CELLS for cell in cells):
+            self._is_new = True
+        else:
+            self.blocks.append(self.blocks[-1] + self._is_new if self.blocks else 0)
+            self.filled.append(cells)
+            self.numbers.append(number)
+            self._is_new = False
+
+    def _drop_title(self) -> None:
+        """A text alone in the row above a further header is the title of its block."""
+        cells = list(filter(None, self.filled[-1])) if self.filled else []
+        if len(cells) == 1 and not _is_number(cells[0]):
+            del self.filled[-1], self.numbers[-1], self.blocks[-1]
 
 
 def _decoded(data: bytes) -> str:
@@ -689,6 +731,8 @@ def _decoded(data: bytes) -> str:
         raise ValueError(msg)
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         return data.decode("utf-16")
+    if data[1:200:2].count(0) > 90:  # UTF-16 without its mark
+        return data.decode("utf-16-le")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:

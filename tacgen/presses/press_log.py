@@ -52,6 +52,9 @@ measured beside them is as good as ever."""
 
 MAX_DROPPED_SHARE = 0.5  # of a log's samples: with more gone, what is left is not the session
 
+USUAL_SHARE, SPIKE_FACTOR = 0.99, 30.0
+"""Readings so many times beyond what this share of them is within are no readings."""
+
 MAX_WARNED = 5  # presses whose empty cells or gaps are spelled out
 
 MAX_PLAUSIBLE_FORCE_N = 100.0
@@ -76,8 +79,8 @@ POSITION_SHARE, POSITION_MM = 0.8, 5.0
 """Depths that are all above this share of the largest, and it above this, are counted from
 elsewhere than the gel's surface."""
 
-LONGEST_PRESS_S, LATEST_CLOCK_S = 1e5, 1e10
-"""A press is no day long, and no clock in seconds is 300 years after 1970."""
+SHORTEST_PRESS_S, LONGEST_PRESS_S, LATEST_CLOCK_S = 0.01, 1e5, 1e10
+"""A press is no blink and no day long, and no clock in seconds is 300 years after 1970."""
 USUAL_PRESS_S = 5.0
 ODD_PRESS_S, ODD_STEP_S = 300.0, 1.0  # longer presses with rarer samples may be in ms
 
@@ -89,8 +92,9 @@ SHUFFLED_SHARE = 0.1  # of a log's steps that go backwards in time: two presses 
 
 UNIT_WORDS = MappingProxyType({"n": "newtons", "mn": "millinewtons", "gf": "grams", "kgf": "kg"})
 
-OUTLIER_FACTOR = 25.0
-"""A trial this many times softer or stiffer than the median one was logged in another unit."""
+OUTLIER_FACTOR = 8.0
+"""A trial this many times softer or stiffer than the median one was logged in another unit: kgf for
+newtons are 9.8 times less."""
 
 Columns = Mapping[str, NDArray[Any]]
 
@@ -199,6 +203,7 @@ def press_log_of(table: LogTable, *, radius_mm: float | None = None) -> PressLog
     """
     table = _with_presses(table)
     table.require("trial", "time_s", "force_normal_n", "volume_mm3 or depth_mm")
+    table, spikes = _without_spikes(table)
     path, numbers = table.path, table.numbers
     problems = [*table.problems, *trial_number_problems(numbers["trial"], path, table.rows)]
     PressError.raise_if(problems or value_problems(table))
@@ -209,7 +214,7 @@ def press_log_of(table: LogTable, *, radius_mm: float | None = None) -> PressLog
         for name, cells in table.cells.items()
     }
     columns["trial"] = trial[order]
-    notes = [*table.notes, *table.unclear, *([f"{path}: {moved}"] if moved else [])]
+    notes = [*table.notes, *table.unclear, *spikes, *([f"{path}: {moved}"] if moved else [])]
     if "time_s" in table.headers and "time_s" not in table.sure:
         notes += _check_clock_unit(table, columns)
     of_depths, is_known = "volume_mm3" not in columns, True
@@ -231,6 +236,23 @@ def press_log_of(table: LogTable, *, radius_mm: float | None = None) -> PressLog
         log = replace(log, columns=MappingProxyType(kept))
     clock = log.session_clock and "time_s" in table.headers
     return replace(log, warnings=tuple(notes), session_clock=clock)
+
+
+def _without_spikes(table: LogTable) -> tuple[LogTable, list[str]]:
+    """NaN for readings that are no readings, such as -999 or 9999 N; a note where there are."""
+    numbers, notes = dict(table.numbers), []
+    for name in ("force_normal_n", "volume_mm3", "depth_mm"):
+        values = numbers.get(name, np.zeros(0))
+        known = np.isfinite(values)
+        usual = float(np.quantile(np.abs(values[known]), USUAL_SHARE)) if known.any() else 0.0
+        spikes = known & (np.abs(values) > SPIKE_FACTOR * usual)
+        if usual > 0 and spikes.any():
+            numbers[name] = np.where(spikes, np.nan, values)
+            notes.append(
+                f"{table.path}: {name} is {values[spikes][0]:.4g} in {spikes.sum()} samples, the "
+                f"others are within {usual:.3g}: taken as empty cells"
+            )
+    return replace(table, numbers=numbers), notes
 
 
 def _with_presses(table: LogTable) -> LogTable:
@@ -332,18 +354,19 @@ def value_problems(table: LogTable) -> list[str]:
                 f"{path}: depth_mm lies between {low:.4g} and {high:.4g}, like a stage's position: "
                 "count it from the gel's surface, growing as the gel is pressed"
             ]
-        if -low > max(high, 0.0):
+        load, pushed = force[known], values[known]
+        # In the air a stage is far above the gel: contact is the side that the force follows.
+        inside, outside = (_correlation(load, np.maximum(s * pushed, 0.0)) for s in (1.0, -1.0))
+        if low < 0 and abs(outside) > abs(inside):
             short = response.partition("_")[0]
             problems.append(
                 f"{path}: {response} is negative in contact (down to {low:.3g}); flip the sign: "
                 f"--flip {short}"
             )
-        off, grown = (one - one.mean() for one in (force[known], np.abs(values[known])))
-        spread = float(np.sqrt((off**2).sum() * (grown**2).sum()))
-        if spread > 0 and (off * grown).sum() / spread < -SIGN_CORRELATION:
+        if max(inside, outside, key=abs) < -SIGN_CORRELATION:
             problems.append(
-                f"{path}: force_normal_n is negative in contact (down to {force[known].min():.3g} "
-                "N); flip the sign: --flip force"
+                f"{path}: force_normal_n is negative in contact (down to {load.min():.3g} N); flip "
+                "the sign: --flip force"
             )
     peak = float(np.nanmax(np.abs(values))) if known.any() else 0.0
     if response == "depth_mm" and response not in table.sure and known.any():
@@ -355,6 +378,13 @@ def value_problems(table: LogTable) -> list[str]:
                 f"{_true_unit(table, response, unit)}"
             )
     return problems
+
+
+def _correlation(one: FloatArray, other: FloatArray) -> float:
+    """Of two quantities (N,); 0 where one is constant."""
+    one, other = one - one.mean(), other - other.mean()
+    spread = float(np.sqrt((one**2).sum() * (other**2).sum()))
+    return float((one * other).sum()) / spread if spread > 0 else 0.0
 
 
 def _true_unit(table: LogTable, name: str, unit: str) -> str:
@@ -372,8 +402,8 @@ def _check_clock_unit(table: LogTable, columns: Columns) -> list[str]:
     steps = np.diff(time_s)
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     said = f"{table.path}: a press lasts {span:.3g} s by time_s (median), from {start:.4g} s"
-    if span > LONGEST_PRESS_S or start > LATEST_CLOCK_S:
-        units = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+    if span > LONGEST_PRESS_S or start > LATEST_CLOCK_S or 0 < span < SHORTEST_PRESS_S:
+        units = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "h": 3600.0, "d": 86400.0}
         unit = min(units, key=lambda u: abs(math.log(max(span, 1e-9) * units[u] / USUAL_PRESS_S)))
         msg = f"{said}: this looks like {unit}; {_true_unit(table, 'time_s', unit)}"
         raise PressError(msg)
@@ -519,6 +549,8 @@ def _other_units(compliance: float, peak: float, table: LogTable) -> list[tuple[
     for unit, newtons in FORCE_UNITS_N.items():
         if unit != "n" and peak * newtons <= MAX_PLAUSIBLE_FORCE_N:
             found.append((compliance / newtons, f"--force-unit {unit} ({UNIT_WORDS[unit]}"))
+    gauge = split_header(table.headers["force_normal_n"])[0]
+    found.append((compliance / 1e3, f'--column force_normal_n="{gauge} [kN]" (kilonewtons'))
     name = "volume_mm3" if "volume_mm3" in table.numbers else "depth_mm"
     power = 1 if name == "volume_mm3" else 2  # of a ball's volume that grows with its depth
     header = table.headers.get(name, name)
@@ -526,7 +558,7 @@ def _other_units(compliance: float, peak: float, table: LogTable) -> list[tuple[
         option = f'--column {name}="{header} [{unit}]" ({unit}'
         found.append((compliance * factor**power, option))
     if math.isnan(compliance):
-        return [(0.0, k_n, f"{option})") for k_n, option in found if option.startswith("--force")]
+        return [(0.0, k_n, f"{text})") for k_n, text in found if text.startswith("--force-unit")]
     low, high = GELS_K_N_MM3_PER_N
     likely = [
         (abs(math.log(k_n / PUBLISHED_K_N_MM3_PER_N)), k_n, f"{option}: {k_n:.2g} mm³/N)")
