@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tacgen.core.errors import TacgenError
 from tacgen.core.progress import print_once
 
-MAX_SIDE_PX = 8192  # larger than any tactile camera's image
+MAX_SIDE_PX, MAX_PIXELS = 8192, 1 << 25  # larger than any tactile camera's image
 MAX_ARCHIVE_BYTES = 4 << 30  # what the arrays of an archive may take together
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -66,7 +66,7 @@ def decode_rgb(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             with Image.open(io.BytesIO(data)) as image:
-                if max(image.size) <= MAX_SIDE_PX:
+                if max(image.size) <= MAX_SIDE_PX and math.prod(image.size) <= MAX_PIXELS:
                     _refuse_kind(image, where, error)
                     found = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
                     notes, turn = _about(image, data)
@@ -74,7 +74,8 @@ def decode_rgb(
             cv2.error):  # fmt: skip
         found = None
     if found is None:
-        problem = f"cannot be read as an image of at most {MAX_SIDE_PX} pixels a side"
+        problem = f"cannot be read as an image of at most {MAX_SIDE_PX} pixels a side, "
+        problem += f"{MAX_PIXELS >> 20} million in all"
         msg = f"{where}: {problem}; give PNG or JPEG"
         raise error(msg)
     if found.ndim == 3:  # blue comes first

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.core.columns import csv_problem
 from tacgen.core.errors import PressError
-from tacgen.core.files import atomic_folder
+from tacgen.core.files import atomic_folder, read_small_text
 from tacgen.core.images import encode_png
 from tacgen.core.optional_dependencies import require_extra
 from tacgen.core.progress import print_status
@@ -30,6 +30,7 @@ from tacgen.presses.screening import MIN_PRESSES
 
 GS_SDK_MM_PER_PX = 0.0634
 """GelSight Mini at 320 × 240 px, from gs_sdk's ``gsmini.yaml`` (called ``ppmm`` there)."""
+MAX_ABOUT_BYTES = 1 << 20  # of a file with a few numbers
 MAX_BACKGROUND_PICTURES = 101
 """Pictures whose median stands in for a background: more change no grey level."""
 LABEL_OFF = 0.2
@@ -155,8 +156,8 @@ def read_gs_sdk(source: Path, mm_per_px: float | None, ball_radius_mm: float | N
 
 def _gs_sdk_label(path: Path) -> list[float]:
     try:
-        check_archive(path)
-        with np.load(path) as label:
+        check_archive(path, MAX_ABOUT_BYTES)
+        with np.load(path, allow_pickle=False) as label:
             return [float(value) for value in (*label["center"], label["radius"])]
     except (OSError, ValueError, KeyError, TypeError) as error:
         msg = f"{path}: is no label of a circle (center, radius): {error}; delete it or label anew"
@@ -486,9 +487,9 @@ def _numbers(table: pd.DataFrame, name: str, where: Path) -> FloatArray:
 
 def _json(path: Path, needed: tuple[str, ...]) -> dict[str, float]:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        found = json.loads(read_small_text(path, MAX_ABOUT_BYTES))
         return {name: float(found[name]) for name in needed}
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         msg = f"{path}: needs the numbers {', '.join(needed)}: {error}"
         raise PressError(msg) from None
 

@@ -6,7 +6,6 @@ a unit that is not one of the quantity is not guessed.
 """
 
 import csv
-import io
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -45,6 +44,7 @@ EMPTY_CELLS = frozenset(
 MAX_LISTED = 5  # bad cells of one column that an error spells out
 COMMENT_MARKS = ("#", "%", "//")
 MARKS = "#%/ "  # what they are made of
+MAX_BYTES, MAX_CELLS = 256 << 20, 6_000_000  # of a table; a cell takes 140 bytes as it is read
 PROBED = 200  # rows that tell the delimiter
 PROBED_CELLS = 2000  # of a column, that tell the marks in its numbers
 LEAST_LABELLED = 4  # rows of a press that has a name: fewer are a slip of the pen
@@ -644,7 +644,9 @@ def _is_parquet(path: Path) -> bool:
 
 def _csv(path: Path) -> _Parts:
     """Header, columns, each row's number, delimiter; cells that a row lacks are empty."""
+    _refuse_large(path, path.stat().st_size, MAX_BYTES, "bytes")
     text = _decoded(path.read_bytes()).replace("\r\n", "\n").replace("\r", "\n")
+    _refuse_large(path, text.count("\n"), MAX_CELLS // 2, "rows")
     text = text.replace("\u2212", "-")  # the sign that word processors write
     of_formulas = '=""' in text  # as spreadsheets are told to keep a text: ="1.0"
     lines = text.split("\n")
@@ -652,12 +654,12 @@ def _csv(path: Path) -> _Parts:
     lines[start] = lines[start].lstrip().lstrip(MARKS)
     if delimiter == " ":
         lines = [" ".join(line.split()) for line in lines]
-    body = io.StringIO("\n".join(lines[start:]), newline="")
-    reader = csv.reader(body, delimiter=delimiter)
+    reader = csv.reader((f"{line}\n" for line in lines[start:]), delimiter=delimiter)
     header = next(reader, [])
     if not header:
         msg = "No columns to parse from file"
         raise ValueError(msg)
+    _refuse_large(path, len(header) * (len(lines) - start), MAX_CELLS, "cells")
     rows = _Rows([name.strip() for name in header])
     for number, row in enumerate(reader, start=start + 2):
         rows.add(number, [cell.strip() for cell in row], of_formulas=of_formulas)
@@ -677,6 +679,13 @@ def _csv(path: Path) -> _Parts:
         delimiter=delimiter,
         notes=(f"the header stands {rows.headers} times",) if rows.headers > 1 else (),
     )
+
+
+def _refuse_large(path: Path, count: int, most: int, what: str) -> None:
+    if count > most:
+        every = -(-count // most) + 1
+        msg = f"{path}: holds {count} {what}, more than {most}; keep every {every}th row of it"
+        raise PressError(msg)
 
 
 @dataclass(slots=True)
@@ -803,6 +812,10 @@ def _parquet(path: Path) -> _Parts:
     import pandas as pd  # 60 MB and 0.3 s, which a log in CSV does without
 
     require_extra("parquet", f"{path}: reading Parquet needs", PressError)
+    from pyarrow.parquet import read_metadata
+
+    about = read_metadata(path)
+    _refuse_large(path, about.num_rows * max(about.num_columns, 1), MAX_CELLS, "cells")
     frame = pd.read_parquet(path)
     known = frame.notna()
     columns = list[Cells]()
