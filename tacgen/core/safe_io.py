@@ -16,7 +16,7 @@ from tacgen.core.errors import TacgenError
 from tacgen.core.progress import print_once
 
 MAX_SIDE_PX, MAX_PIXELS = 8192, 1 << 25  # larger than any tactile camera's image
-MAX_ARCHIVE_BYTES = 4 << 30  # what the arrays of an archive may take together
+MAX_ARCHIVE_BYTES = 1 << 30  # what the arrays of an archive may take together
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
@@ -187,6 +187,15 @@ def _about(image: Any, data: bytes) -> tuple[list[str], int]:
     return notes, turn
 
 
+def refuse_packed(path: Path) -> None:
+    """Raise ``ValueError`` for an archive that unfolds; one of another kind is left alone."""
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            if sum(member.file_size for member in archive.infolist()) > path.stat().st_size:
+                msg = "it is larger than its file, which is never so"
+                raise ValueError(msg)
+
+
 def check_archive(path: Path, most_bytes: int = MAX_ARCHIVE_BYTES) -> None:
     """See that every array of a .npz is as large as it says, and all of them not too large.
 
@@ -202,7 +211,7 @@ def check_archive(path: Path, most_bytes: int = MAX_ARCHIVE_BYTES) -> None:
                 raise ValueError(msg)
             for member in members:
                 with archive.open(member) as file:
-                    _check_array(file, member)
+                    _check_array(file, member.filename, member.file_size)
                     while file.read(1 << 20):  # the checksum is that of the whole
                         pass
     except (OSError, ValueError):
@@ -212,12 +221,33 @@ def check_archive(path: Path, most_bytes: int = MAX_ARCHIVE_BYTES) -> None:
         raise ValueError(msg) from None
 
 
-def _check_array(file: IO[bytes], member: zipfile.ZipInfo) -> None:
+def read_npy(path: Path, most_bytes: int) -> NDArray[Any]:
+    """The array of a .npy file, whose stated size is looked at before anything is read.
+
+    Raises ``ValueError`` if it is not as large as it says, larger than ``most_bytes``, or holds
+    Python objects; ``OSError`` if there is no such file.
+    """
+    size = path.stat().st_size
+    if size > most_bytes:
+        msg = f"it takes more than {most_bytes >> 20} MiB"
+        raise ValueError(msg)
+    try:
+        with path.open("rb") as file:
+            _check_array(file, path.name, size)
+        return np.asarray(np.load(path, allow_pickle=False))
+    except (OSError, ValueError):
+        raise
+    except Exception as error:  # as above
+        msg = f"it is damaged: {type(error).__name__}"
+        raise ValueError(msg) from None
+
+
+def _check_array(file: IO[bytes], name: str, size: int) -> None:
     version = npy.read_magic(file)
     read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
     shape, _, dtype = read(file)
     n_bytes = dtype.itemsize * math.prod(map(int, shape))
     # Objects are pickled and refused by whoever reads them; they have no size of their own.
-    if not dtype.hasobject and n_bytes != member.file_size - file.tell():
-        msg = f"{member.filename} says {shape} of {dtype}, which is not what is there"
+    if not dtype.hasobject and n_bytes != size - file.tell():
+        msg = f"{name} says {shape} of {dtype}, which is not what is there"
         raise ValueError(msg)
