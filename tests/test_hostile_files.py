@@ -34,6 +34,7 @@ from tacgen.dataset.manifest import MAX_SHARD_GRASPS, parse_line
 from tacgen.objects.mesh_import import import_surface
 from tacgen.optics import load_table, save_table
 from tacgen.presses import lab_table
+from tacgen.presses.press_folder import read_presses
 from tacgen.presses.press_log import read_press_log
 from tests.dataset.conftest import collect_toy, make_spec
 from tests.fuzz.readers import LEARNED, READERS
@@ -248,6 +249,9 @@ def test_lines_of_manifests(tmp_path, changes, words):
     [
         ({"n_shards": 10**10}, "10000000000|1e[+]10"),
         ({"n_grasps": 10**15}, "shards, more than"),
+        ({"parts": ["x"]}, "missing or broken"),
+        ({"parts": float("inf")}, "missing or broken"),
+        ({"grids": 3}, "missing or broken"),
         ({"schema": 2}, "made by a newer tacgen"),
     ],
 )
@@ -371,6 +375,20 @@ def test_files_without_end(tmp_path, monkeypatch):
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk)
     with pytest.raises(TacgenError, match="32 million in all"):
         read_rgb(path)
+
+
+def test_a_datapack_that_unfolds_is_refused_before_it_does(tmp_path):
+    path = tmp_path / "dataPack.npz"
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("imgs.npy", "w", force_zip64=True) as file,
+    ):
+        shape = {"descr": "|u1", "fortran_order": False, "shape": (200 << 20,)}
+        np.lib.format.write_array_header_1_0(file, shape)
+        for _ in range(50):
+            file.write(bytes(4 << 20))
+    with pytest.raises(PressError, match="unfolds to more than 50 times its size"):
+        read_presses(path)
 
 
 def test_a_parquet_log_without_end(tmp_path, monkeypatch):

@@ -16,6 +16,8 @@ from tacgen.core.errors import TacgenError
 from tacgen.core.progress import print_once
 
 MAX_SIDE_PX, MAX_PIXELS = 8192, 1 << 25  # larger than any tactile camera's image
+MAX_IMAGE_BYTES = 1 << 28
+UNFOLDED, LEAST_UNFOLDED_BYTES = 50, 1 << 27  # no measured picture is so empty
 MAX_ARCHIVE_BYTES = 1 << 30  # what the arrays of an archive may take together
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
@@ -42,6 +44,9 @@ def read_rgb(path: Path, error: type[TacgenError] = TacgenError) -> NDArray[np.u
         msg = f"{path}: no such file; give PNG or JPEG"
         raise error(msg)
     try:
+        if path.stat().st_size > MAX_IMAGE_BYTES:
+            msg = f"{path}: larger than {MAX_IMAGE_BYTES >> 20} MiB, which no picture is"
+            raise error(msg)
         data = path.read_bytes()
     except OSError as problem:
         msg = f"{path}: cannot be read: {problem.strerror}"
@@ -206,8 +211,12 @@ def check_archive(path: Path, most_bytes: int = MAX_ARCHIVE_BYTES) -> None:
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
-            if sum(member.file_size for member in members) > most_bytes:
+            size = sum(member.file_size for member in members)
+            if size > most_bytes:
                 msg = f"its arrays take more than {most_bytes >> 20} MiB"
+                raise ValueError(msg)
+            if size > max(UNFOLDED * path.stat().st_size, LEAST_UNFOLDED_BYTES):
+                msg = f"it unfolds to more than {UNFOLDED} times its size"
                 raise ValueError(msg)
             for member in members:
                 with archive.open(member) as file:
