@@ -192,7 +192,8 @@ def read_feeling_of_success(source: Path, notes: Notes) -> Iterator[ImportedGras
                 for name in sorted(groups, key=lambda name: (len(name), name)):
                     notes.trials += 1
                     yield from _both_fingers(f"{file.stem}_{name}", groups[name], notes)
-        except OSError as error:
+        except (OSError, RuntimeError, LookupError, ValueError, TypeError) as error:
+            # h5py raises the latter for damage that it meets on the way.
             notes.left_out.append(f"{file}: not imported: cannot be read as HDF5: {error}")
 
 
