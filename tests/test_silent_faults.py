@@ -145,7 +145,7 @@ ROWS = [
     Row(5, "a mass in grams", "refused", f"{ADD}::test_grams_for_kilograms_are_refused"),
     Row(5, "heights in m, angles in degrees", "asked", "tests/collection/test_recipe.py::test_metres_and_degrees_are_suspected"),
     # own logs get in
-    Row(6, "43 programs' files of the same presses", "the same presses", READ),
+    Row(6, "42 programs' files of the same presses", "the same presses", READ),
     Row(6, "units, decimal commas, delimiters", "converted, and so it says", f"{LAB}::test_delimiters_and_decimal_marks"),
     Row(6, "comment lines, a preamble", "passed over", f"{LAB}::test_lines_above_the_header_and_comments_between_rows"),
     Row(6, "negative forces", "refused: --flip force", f"{LAB}::test_negative_readings_say_which_sign_to_flip"),
@@ -195,6 +195,9 @@ ROWS = [
     Row(12, "an OBJ of one line, a GLB that unfolds", "refused", f"{HOSTILE}::test_glb_scenes_that_unfold"),
     Row(12, "forces of 10⁶ and 10³⁰⁸ N", "refused", f"{HOSTILE}::test_forces_beyond_any_gripper"),
     Row(12, "every reader, files spoiled at random", "read or refused", "tests/fuzz/test_readers.py::test_spoiled_files_are_read_or_refused"),
+    Row(12, "scripts in names of a log", "text on every page", f"{FOREIGN}::test_no_page_runs_what_a_log_is_named"),
+    Row(12, "a script in a recipe's description", "text on the gallery", "tests/dataset/test_pages.py::test_names_in_a_gallery_are_shown_not_run"),
+    Row(12, "paths that lead out of an imported set", "refused", "tests/presses/test_import_formats.py::test_names_that_lead_out_of_the_set_are_refused"),
     Row(12, "letters that steer a terminal", "shown as escapes", f"{HOSTILE}::test_messages_neither_steer_the_terminal_nor_fill_it"),
     # messages
     Row(13, "an animation in the place of a file", "refused", "tests/cli/test_collect_folders.py::test_an_animation_does_not_replace_a_file"),

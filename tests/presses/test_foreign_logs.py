@@ -16,6 +16,7 @@ import pytest
 
 from tacgen.calibrate.contact.command import calibrate_contact, read_contact_log
 from tacgen.core.errors import PressError
+from tacgen.diagnose.contact.command import diagnose_log
 from tacgen.presses.geometry import ball_volume_mm3
 from tacgen.presses.lab_table import LogFormat
 from tacgen.presses.press_log import read_press_log
@@ -422,3 +423,20 @@ def test_one_press_in_kgf_is_left_out_and_said(tmp_path):
     frame.loc[frame["trial"] == 3, "F"] /= STANDARD_GRAVITY
     log = read_press_log(written(tmp_path, plain(frame)), radius_mm=RADIUS_MM)
     assert [trial.trial for trial in log.dropped] == [3]
+
+
+@pytest.mark.slow
+def test_no_page_runs_what_a_log_is_named(tmp_path):
+    """Names of files, columns and indenters are text on the pages of both commands."""
+    names = {1: "<script>alert(1)</script>", 0: "b&b"}
+    frame = presses().assign(indenter=lambda f: (f["trial"] % 2).map(names))
+    frame["<img src=x onerror=alert(2)>"] = 1.5 * frame["trial"]
+    headers = {"t": "time_s", "F": "force_normal_n", "V": "volume_mm3"}
+    path = tmp_path / "<b>log.csv"
+    frame.rename(columns=headers).drop(columns="d").to_csv(path, index=False)
+    calibrate_contact(path, tmp_path / "law.yaml", tmp_path / "report")
+    diagnose_log(path, tmp_path / "diagnosis")
+    for page in ("report/contact.html", "diagnosis/report.html"):
+        text = (tmp_path / page).read_text(encoding="utf-8")
+        assert not [word for word in ("<script>alert", "<img src=x", "<b>log") if word in text]
+    assert "onerror=alert(2)&gt;" in text
