@@ -12,6 +12,7 @@ import typer
 from typer import Argument, Option
 from typer.core import TyperGroup
 
+from tacgen.core.errors import readable
 from tacgen.core.progress import LOG, is_quiet
 from tacgen.core.resources import object_folders, packaged, sensor_files
 from tacgen.core.workers import available_cores
@@ -211,7 +212,7 @@ def print_record(record: Mapping[str, object], json_output: bool) -> None:
 def warn(lines: Iterable[object], label: str = "warning") -> None:
     """Print lines on standard error."""
     for line in lines:
-        typer.echo(f"{label}: {line}", err=True)
+        typer.echo(f"{label}: {readable(str(line))}", err=True)
 
 
 def note(lines: Iterable[object]) -> None:

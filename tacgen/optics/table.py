@@ -148,7 +148,7 @@ class LookupTable:
 
 
 PositiveFinite = Annotated[FiniteFloat, Field(gt=0)]
-MAX_TABLE_BYTES = 1 << 30  # of its arrays, unpacked; a table has some megabytes
+MAX_TABLE_BYTES = 1 << 28  # of its arrays, unpacked; a table has some megabytes
 
 
 class _ContactHeader(Section):

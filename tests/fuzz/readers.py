@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tests.fuzz import learned
+from tests.fuzz import foreign, learned
 
 Read = Callable[[Path], object]
 
@@ -370,6 +370,14 @@ READERS = {
     "dataset plan": Reader(_dataset("dataset.json"), _read_dataset),
     "dataset recipe": Reader(_dataset("recipe.yaml"), _read_dataset_recipe, sound=False),
     "batch jobs": Reader(_make_jobs, _read_jobs),
+    "gripper": Reader(foreign.make_gripper, foreign.read_gripper),
+    "presses to follow": Reader(foreign.make_followed_presses, foreign.read_followed_presses),
+    "polycalib's background": Reader(foreign.make_background, foreign.read_background),
+    "real grasps' origin": Reader(foreign.make_about, foreign.read_about),
+    **{
+        name: Reader(foreign.make_layout(name), foreign.read_layout(name))
+        for name in foreign.LAYOUTS
+    },
 }
 LEARNED = {
     "checkpoint": Reader(learned.make_checkpoint, learned.read_checkpoint),
