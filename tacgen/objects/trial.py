@@ -13,7 +13,7 @@ LIFT_MM = 20.0  # whether a grasp is executed is known before the lift
 def executed_ranges(obj: GraspObject) -> tuple[dict[str, tuple[float, ...]], list[str]]:
     """The largest grid of the object's ranges in which each place is executed, and notes.
 
-    All stay where nothing is executed. The force is the middle one.
+    All stay where nothing is executed. Each place is tried with the largest and the least force.
     """
     ranges = dict(obj.grasp_ranges)
     forces = ranges["force_n"]
@@ -25,9 +25,12 @@ def executed_ranges(obj: GraspObject) -> tuple[dict[str, tuple[float, ...]], lis
 
             def problem(y_mm: float, z_mm: float) -> str:
                 """Why a grasp there is not executed; empty if it is."""
-                config = GraspConfig(0, obj.name, forces[len(forces) // 2], 0.0, y_mm, z_mm)
-                trace = run_grasp(simulator, obj, config, settings, frames=FrameRequest())
-                return trace.reason if trace.label < 0 else ""
+                for force_n in (max(forces), min(forces)):  # the largest squeezes wedges out
+                    config = GraspConfig(0, obj.name, force_n, 0.0, y_mm, z_mm)
+                    trace = run_grasp(simulator, obj, config, settings, frames=FrameRequest())
+                    if trace.label < 0:
+                        return trace.reason
+                return ""
 
             places = itertools.product(ranges["y_mm"], ranges["z_mm"])
             found = {place: text for place in places if (text := problem(*place))}

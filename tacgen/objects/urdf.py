@@ -10,6 +10,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from tacgen.core.errors import ObjectError
+from tacgen.core.units import M_PER_MM, MM_PER_M
 
 MAX_BYTES = 4 << 20
 MAX_SHAPES = 1000  # of one URDF: an object has a few
@@ -144,6 +145,7 @@ def _solid(
     if len(size) != sizes[kind.tag] or not (size > 0).all():
         msg = f"{path}: <{kind.tag}> has a size that is not above 0; correct it"
         raise ObjectError(msg)
+    size = size * MM_PER_M  # trimesh takes corners for one that are 10 nm apart in its unit
     if kind.tag == "box":
         made = trimesh.creation.box(size)
     elif kind.tag == "sphere":
@@ -153,7 +155,7 @@ def _solid(
     else:
         made = trimesh.creation.capsule(size[1], size[0], count=[SECTIONS // 2, SECTIONS])
         made.apply_translation([0.0, 0.0, -made.bounds.mean(axis=0)[2]])
-    return made
+    return trimesh.Trimesh(made.vertices * M_PER_MM, made.faces, process=False)
 
 
 def _mesh_file(path: Path, name: str) -> Path:

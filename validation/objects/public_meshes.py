@@ -1,10 +1,11 @@
 """Import folders of meshes as a stranger would, and execute the grasps that are suggested.
 
-    python -m validation.objects.public_meshes --out OUT NAME=FOLDER[@SCALE] …
+    python -m validation.objects.public_meshes --out OUT NAME=FOLDER[:PATTERN][@SCALE] …
 
 writes ``OUT/table.md`` and the picture of each imported object. Each collection is a folder with
-mesh files, one unit of which is SCALE mm; without a scale the largest extent becomes 100 mm. Every
-object weighs 0.2 kg; each place is tried with the least and the largest suggested force.
+mesh files (those of PATTERN, such as ``**/*.urdf``), one unit of which is SCALE mm; without a scale the largest extent becomes 100 mm. An
+object weighs 0.5 g for each cm³ of its convex hull; each place is tried with the least and the
+largest suggested force.
 """
 
 import argparse
@@ -22,9 +23,10 @@ from tacgen.core.records import GraspConfig, GraspObject
 from tacgen.objects.add import add_object
 from tacgen.objects.mesh_import import FORMATS
 from tacgen.objects.picture import write_picture
+from tacgen.objects.urdf import read_urdf
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
 
-MASS_KG, LARGEST_MM = 0.2, 100.0
+G_CM3, LARGEST_MM = 0.5, 100.0
 LIFT_MM = 20.0  # whether a grasp is executed is known before
 
 
@@ -43,10 +45,15 @@ class Row:
     reason: str = ""
 
 
-def size_of(path: Path) -> tuple[int, float]:
-    """Triangles and the largest extent, in the file's unit."""
-    mesh = trimesh.load_mesh(path, process=False)
-    return len(mesh.faces), float(np.ptp(mesh.vertices, axis=0).max())
+def size_of(path: Path) -> tuple[int, float, float]:
+    """Triangles, the largest extent and the hull's volume, in the file's unit."""
+    if path.suffix == ".urdf":
+        mesh, _ = read_urdf(path, lambda part: trimesh.load_mesh(part, process=False))
+    else:
+        mesh = trimesh.load_mesh(path, process=False)
+    extent = float(np.ptp(mesh.vertices, axis=0).max())
+    flat = np.ptp(mesh.vertices, axis=0).min() <= 0
+    return len(mesh.faces), extent, 0.0 if flat else float(mesh.convex_hull.volume)
 
 
 def executed(simulator: GraspSimulator, obj: GraspObject) -> tuple[int, int]:
@@ -65,18 +72,19 @@ def executed(simulator: GraspSimulator, obj: GraspObject) -> tuple[int, int]:
     return done, tried
 
 
-def rows(name: str, folder: Path, scale: float | None, out: Path) -> Iterator[Row]:
+def rows(name: str, folder: Path, pattern: str, scale: float | None, out: Path) -> Iterator[Row]:
     """One a mesh of a collection."""
     with GraspSimulator() as simulator:
-        for path in sorted(p for p in folder.rglob("*") if p.suffix.lower()[1:] in FORMATS):
+        for path in sorted(p for p in folder.glob(pattern) if p.suffix.lower()[1:] in FORMATS):
             label, start = str(path.relative_to(folder)), time.process_time()
-            triangles, extent = size_of(path)
+            triangles, extent, volume = size_of(path)
+            mm = scale or LARGEST_MM / extent
             key = f"{name}_{label}".replace("/", "_").replace(".", "_").replace(" ", "_")[:64]
             try:
                 added = add_object(
                     path,
-                    mass_kg=MASS_KG,
-                    scale=scale or LARGEST_MM / extent,
+                    mass_kg=max(G_CM3 * volume * mm**3 / 1e6, 0.001),
+                    scale=mm,
                     name=key,
                     into=out / "objects",
                     force=True,
@@ -104,7 +112,7 @@ def main() -> None:
     """Print and write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("collections", nargs="+", metavar="NAME=FOLDER[@SCALE]")
+    parser.add_argument("collections", nargs="+", metavar="NAME=FOLDER[:PATTERN][@SCALE]")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     lines = ["| collection | mesh | triangles | CPU s | executed | parts | notes or refusal |"]
@@ -112,8 +120,10 @@ def main() -> None:
     found = []
     for collection in arguments.collections:
         name, _, place = collection.partition("=")
-        folder, _, scale = place.partition("@")
-        for row in rows(name, Path(folder), float(scale) if scale else None, arguments.out):
+        place, _, scale = place.partition("@")
+        folder, _, pattern = place.partition(":")
+        mm = float(scale) if scale else None
+        for row in rows(name, Path(folder), pattern or "**/*", mm, arguments.out):
             found.append(row)
             result = f"{row.executed}/{row.suggested}" if row.imported else "refused"
             lines.append(
