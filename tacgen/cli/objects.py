@@ -106,7 +106,7 @@ def objects_add(
             common.note(added.notes)
             folder = Path("objects") / added.object.name
             facts = object_facts(added.object, read_description(folder))
-            write_picture(added.object, folder / "picture.png")
+            write_picture(added.object, folder / "picture.png", added.toppled_from)
             records.append(facts)
             texts.append(facts_text(facts))
             done.append(added.object.name)

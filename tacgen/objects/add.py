@@ -18,7 +18,7 @@ from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import ObjectError
 from tacgen.core.files import sha256_of, sync_file
 from tacgen.core.records import GraspObject, Mesh
-from tacgen.objects.cutting import convex_parts, cut_again
+from tacgen.objects.cutting import CONCAVITIES, convex_parts, cut_again
 from tacgen.objects.description import NAME_PATTERN
 from tacgen.objects.grasp_ranges import (
     DOME_RADIUS_MM,
@@ -55,10 +55,14 @@ NO_NAMES = {
 
 @dataclass(frozen=True, slots=True)
 class AddedObject:
-    """The new object and what its maker should know."""
+    """The new object and what its maker should know.
+
+    ``toppled_from`` is the surface as its file had it, where it has been rested.
+    """
 
     object: GraspObject
     notes: tuple[str, ...]
+    toppled_from: Mesh | None = None
 
 
 def add_object(
@@ -97,6 +101,7 @@ def add_object(
     notes += _check_density(mesh_path, surface, mass_kg)
     center_mm, _ = mass_properties([(surface, 1.0)], mass_kg)
     turn = None if keep_pose else toppled(surface.vertices_mm, center_mm)
+    given = None if turn is None else surface
     if turn is not None:
         surface = placed(surface, turn)
         notes.insert(0, _rest_note(turn))
@@ -131,9 +136,9 @@ def add_object(
     if note := facet_note(surface):
         notes.append(note)
     places = set(itertools.product(ranges["y_mm"], ranges["z_mm"]))
-    kept = [error for error in errors if (error.y_mm, error.z_mm) in places]
-    notes.append(_touch_note(touch_error_mm(kept), parts))
-    return AddedObject(load_object(folder), tuple(notes))
+    if kept := [error for error in errors if (error.y_mm, error.z_mm) in places]:
+        notes.append(_touch_note(touch_error_mm(kept), parts))
+    return AddedObject(load_object(folder), tuple(notes), given)
 
 
 def _cut(
@@ -144,14 +149,19 @@ def _cut(
     Errors in the plane of the pad do not count up to ``MOST_ERROR_MM``: on a flat face a wave of
     0.1 mm moves the first touch by 2 mm.
     """
-    parts = convex_parts(surface)
-    errors = touch_errors(surface, parts, ranges)
-    for _ in range(MOST_CUTS):
-        which = {error.part for error in errors if (error.off_mm > LIMITS_MM).any()}
-        if not which or len(finer := cut_again(surface, parts, which)) == len(parts):
+    cuts = []
+    for concavity in CONCAVITIES:
+        parts = convex_parts(surface, concavity)
+        errors = touch_errors(surface, parts, ranges)
+        for _ in range(MOST_CUTS):
+            which = {error.part for error in errors if (error.off_mm > LIMITS_MM).any()}
+            if not which or len(finer := cut_again(surface, parts, which)) == len(parts):
+                break
+            parts, errors = finer, touch_errors(surface, finer, ranges)
+        cuts.append((parts, errors))
+        if (touch_error_mm(errors) <= LIMITS_MM).all():
             break
-        parts, errors = finer, touch_errors(surface, finer, ranges)
-    return parts, errors
+    return min(cuts, key=lambda cut: float((touch_error_mm(cut[1]) / LIMITS_MM).max()))
 
 
 def _without_places_far_off(

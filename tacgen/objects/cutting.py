@@ -19,17 +19,19 @@ the outermost near 90, so that a round bottom stands on a small facet."""
 DETAIL_MM = 0.2  # finest detail that the search for cuts between convex parts sees
 MOST_TO_CUT = 4000  # triangles that the search sees: its time grows with them
 CONVEX_SHARE = 0.01  # of its volume that a convex mesh may lack: roundoff, engraving, dimples
-CONCAVITY = 0.05  # CoACD's threshold: concavity left, as a share of the size
+CONCAVITIES = (0.1, 0.05)
+"""CoACD's threshold, concavity left as a share of the size: the coarse cut, cut again where pads
+touch it, suffices for most and takes a third of the time and parts of the fine one."""
 MOST_PARTS = 48  # after cutting again: a grasp meets those near the pads alone
 CUT_SHARES = np.arange(1, 10) / 10  # of a part's extent, at which it may be cut in two
 WORTH_SHARE = 0.005  # of a part's volume that a cut is to take off
 
 
-def convex_parts(surface: Mesh) -> tuple[Mesh, ...]:
+def convex_parts(surface: Mesh, concavity: float = CONCAVITIES[0]) -> tuple[Mesh, ...]:
     """Convex hulls that follow ``surface``, at most ``MAX_PARTS``; a convex surface has its own."""
     if volume_mm3(hull(surface.vertices_mm)) <= (1 + CONVEX_SHARE) * volume_mm3(surface):
         return (_even_hull(surface.vertices_mm),)
-    return _cut(surface)
+    return _cut(surface, concavity)
 
 
 def cut_again(surface: Mesh, parts: Sequence[Mesh], which: Collection[int]) -> tuple[Mesh, ...]:
@@ -65,7 +67,7 @@ def _halves(solid: manifold3d.Manifold) -> list[Mesh]:
     return [_even_hull(half.vertices_mm) for half in halves if len(half.vertices_mm) > 3]
 
 
-def _cut(surface: Mesh) -> tuple[Mesh, ...]:
+def _cut(surface: Mesh, concavity: float) -> tuple[Mesh, ...]:
     """Convex hulls that hold all of a surface's vertices.
 
     CoACD only finds where to cut a simplified copy: a part is the hull of its cut faces and of
@@ -82,7 +84,7 @@ def _cut(surface: Mesh) -> tuple[Mesh, ...]:
     simple = from_manifold(coarse)
     cut = coacd.run_coacd(
         coacd.Mesh(np.array(simple.vertices_mm), np.array(simple.faces)),
-        threshold=CONCAVITY,
+        threshold=concavity,
         max_convex_hull=MAX_PARTS,
         mcts_iterations=60,
         mcts_nodes=10,

@@ -3,9 +3,9 @@
     python -m validation.objects.public_meshes --out OUT NAME=FOLDER[:PATTERN][@SCALE] …
 
 writes ``OUT/table.md`` and the picture of each imported object. Each collection is a folder with
-mesh files (those of PATTERN, such as ``**/*.urdf``), one unit of which is SCALE mm; without a scale the largest extent becomes 100 mm. An
-object weighs 0.5 g for each cm³ of its convex hull; each place is tried with the least and the
-largest suggested force.
+mesh files (those of PATTERN, such as ``**/*.urdf``), one unit of which is SCALE mm; without a scale
+the largest extent becomes 100 mm. An object weighs 0.5 g for each cm³ of its convex hull; each
+place is tried with the least and the largest suggested force.
 """
 
 import argparse
@@ -95,7 +95,7 @@ def rows(name: str, folder: Path, pattern: str, scale: float | None, out: Path) 
                 yield Row(name, label, triangles, False, cpu_s, reason=reason)
                 continue
             cpu_s = time.process_time() - start
-            write_picture(added.object, out / f"{key}.png")
+            write_picture(added.object, out / f"{key}.png", added.toppled_from)
             yield Row(
                 name,
                 label,
