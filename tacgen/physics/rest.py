@@ -9,15 +9,13 @@ from tacgen.core.arrays import FloatArray
 from tacgen.core.records import GraspObject
 from tacgen.physics.world import ball_of
 
-STEP_RAD = np.radians(0.5)  # of the roll: a card 1 mm thick and 60 mm high stands up to 1°
-DIRECTIONS = 24  # around, in which it may roll
-LEAST_STEP_RAD = np.radians(0.01)
-MOST_STEPS = 2000  # the longest roll is half a turn: 360 steps, and the finer ones at its end
+TOUCH_MM = 1e-6  # of the lowest corner, within which others touch the table too: roundoff
+MOST_STEPS = 5000  # from corner to corner: a fine ball takes some hundred
 TOPPLES_DEG, TOPPLES_MM = 2.0, 0.2
 """Turns, and falls of the centre of mass, below which the simulation settles it by itself, as a
 ball's from a corner of its mesh to a facet."""
-FLAT_RAD = np.radians(1.0)  # to the face that it comes to lie on
 ON_TABLE_MM = 0.01  # of the lowest corner, up to which an object stands on others too
+DIRECTIONS = 96  # around, in which its foot has to reach beyond its centre of mass
 
 
 def topples_deg(obj: GraspObject) -> float:
@@ -29,7 +27,7 @@ def topples_deg(obj: GraspObject) -> float:
         return 0.0
     corners_mm = np.concatenate([part.vertices_mm for part in obj.collision])
     low = corners_mm[corners_mm[:, 2] <= corners_mm[:, 2].min() + ON_TABLE_MM, :2]
-    around = np.arange(4 * DIRECTIONS) * (np.pi / 2 / DIRECTIONS)
+    around = np.arange(DIRECTIONS) * (2 * np.pi / DIRECTIONS)
     ways = np.stack([np.cos(around), np.sin(around)])
     if ((low - obj.center_of_mass_mm[:2]) @ ways).max(axis=0).min() > 0:
         return 0.0  # over what it stands on
@@ -50,42 +48,62 @@ def angle_deg(turn: FloatArray) -> float:
 def toppled(points_mm: FloatArray, center_of_mass_mm: FloatArray) -> NDArray[np.float64] | None:
     """The rotation (3, 3) by which a body topples from where it stands; None if it stays.
 
-    It rolls over the edges of the convex hull of ``points_mm`` (n, 3) in the direction in which its
-    centre of mass falls fastest, up to the first pose from which it would have to rise.
+    It rolls over corners and edges of the convex hull of ``points_mm`` (n, 3) so that its centre of
+    mass falls fastest, without speed, up to the first pose from which it would have to rise.
+
+    Source: steepest descent of the hull's support function, max over corners v of v·d for the
+    direction d to the table, whose subgradient is the corners that touch it (Rockafellar 1970,
+    Convex Analysis, §25).
     """
     from scipy.spatial import ConvexHull  # slow to import, and most objects stand
 
-    hull = ConvexHull(points_mm)
-    corners_mm = points_mm[hull.vertices] - center_of_mass_mm
-
-    def height_mm(down: FloatArray) -> float:
-        """Of the centre of mass over the table, if ``down`` points to it."""
-        return float((corners_mm @ down).max())
-
-    down, step = np.array([0.0, 0.0, -1.0]), STEP_RAD
-    turns = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
-    first_mm = lowest = height_mm(down)
+    corners_mm = points_mm[ConvexHull(points_mm).vertices] - center_of_mass_mm
+    down = np.array([0.0, 0.0, -1.0])
+    first_mm = (corners_mm @ down).max()
     for _ in range(MOST_STEPS):
-        side = np.linalg.svd(down[None])[2][1:]
-        ring = np.cos(step) * down + np.sin(step) * (
-            np.cos(turns)[:, None] * side[0] + np.sin(turns)[:, None] * side[1]
-        )
-        heights = (corners_mm @ ring.T).max(axis=0)
-        best = int(np.argmin(heights))
-        if heights[best] < lowest:
-            down, lowest = ring[best] / np.linalg.norm(ring[best]), float(heights[best])
-        elif step <= LEAST_STEP_RAD:
+        height_mm = corners_mm @ down
+        lowest_mm = height_mm.max()
+        touching = corners_mm[height_mm >= lowest_mm - TOUCH_MM]
+        fall = _fall(touching, down)
+        if fall is None:
             break
-        else:
-            step /= 2
-    normals = hull.equations[:, :3]
-    nearest = normals[np.argmax(normals @ down)]
-    if nearest @ down > np.cos(FLAT_RAD):
-        down = nearest
+        # The corner that comes down first as d turns to d cos θ + w sin θ.
+        way, off_mm = fall
+        ahead_mm = corners_mm @ way + off_mm
+        rising = np.flatnonzero(ahead_mm > TOUCH_MM)
+        next_rad = np.arctan2(np.maximum(lowest_mm - height_mm[rising], 0.0), ahead_mm[rising])
+        turn_rad = next_rad.min(initial=np.pi / 2)
+        down = np.cos(turn_rad) * down + np.sin(turn_rad) * way
+        down /= np.linalg.norm(down)
     turn_deg = np.degrees(np.arccos(np.clip(-down[2], -1.0, 1.0)))
-    if turn_deg < TOPPLES_DEG or first_mm - lowest < TOPPLES_MM:
+    fall_mm = first_mm - (corners_mm @ down).max()
+    if turn_deg < TOPPLES_DEG or fall_mm < TOPPLES_MM:
         return None
     return _turn_to(down, np.array([0.0, 0.0, -1.0]))
+
+
+def _fall(touching_mm: FloatArray, down: FloatArray) -> tuple[FloatArray, float] | None:
+    """The way (3,) in which the centre of mass at the origin falls off corners (n, 3), None if not.
+
+    And how far it is from the nearest point that they support. On a tip or an edge right below it
+    falls to where there are none.
+    """
+    side = np.cross(down, np.eye(3)[np.argmin(np.abs(down))])
+    axes = np.stack([side, np.cross(down, side)]) / np.linalg.norm(side)
+    flat = touching_mm @ axes.T
+    angles = np.sort(np.arctan2(flat[:, 1], flat[:, 0]))
+    gaps = np.diff(angles, append=angles[0] + 2 * np.pi)
+    if len(flat) > 2 and gaps.max() < np.pi:
+        return None  # they are all around it
+    starts, along = flat[:, None], flat[None] - flat[:, None]
+    share = -(starts * along).sum(-1) / np.maximum((along**2).sum(-1), 1e-300)
+    places = (starts + np.clip(share, 0.0, 1.0)[..., None] * along).reshape(-1, 2)
+    nearest = places[np.argmin((places**2).sum(axis=1))]
+    off_mm = float(np.linalg.norm(nearest))
+    if off_mm > TOUCH_MM:
+        return -nearest / off_mm @ axes, off_mm
+    free = angles[np.argmax(gaps)] + gaps.max() / 2
+    return np.array([np.cos(free), np.sin(free)]) @ axes, 0.0
 
 
 def _turn_to(source: FloatArray, target: FloatArray) -> NDArray[np.float64]:

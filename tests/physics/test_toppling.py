@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import Delaunay
 
 from tacgen.core.records import GraspConfig, GraspObject, Mesh
 from tacgen.core.resources import object_folders, packaged
 from tacgen.objects import load_object
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
-from tacgen.physics.rest import topples_deg
+from tacgen.physics.rest import angle_deg, toppled, topples_deg
 
 FOOT, SLAB = (20.0, 30.0, 40.0), (100.0, 30.0, 10.0)
 
@@ -80,3 +81,26 @@ def test_a_measured_centre_of_mass_counts():
     """A box with lead in one corner outside of its foot does not stand, whatever its shape."""
     obj = overhang(0.0)
     assert topples_deg(replace(obj, center_of_mass_mm=np.array([0.0, 20.0, 40.0]))) > 0
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_what_has_toppled_rests_on_corners_around_its_centre_of_mass(seed):
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(30, 3)) * rng.uniform(5.0, 60.0, size=3)
+    center = points[rng.choice(30, 8)].mean(axis=0)  # within their hull
+    turn = toppled(points, center)
+    turn = np.eye(3) if turn is None else turn
+    assert np.linalg.det(turn) == pytest.approx(1.0)
+    lying, over = points @ turn.T, turn @ center
+    assert toppled(lying, over) is None
+    assert over[2] - lying[:, 2].min() <= center[2] - points[:, 2].min() + 1e-9
+    feet = lying[lying[:, 2] < lying[:, 2].min() + 1e-3, :2]
+    if not np.array_equal(turn, np.eye(3)):
+        assert Delaunay(feet).find_simplex(over[:2]) >= 0
+
+
+def test_a_body_on_two_tips_in_a_line_rolls_on_to_a_third():
+    """A ridge below a body that is wider to both sides: it is balanced on it, but not for long."""
+    tips = [[0, -40, 0], [0, 40, 0], [25, 0, 8], [-25, 0, 8], [0, 0, 40]]
+    turn = toppled(np.array(tips, dtype=float), np.array([0.0, 0.0, 15.0]))
+    assert angle_deg(turn) == pytest.approx(np.degrees(np.arctan2(8, 25)), abs=1e-6)
