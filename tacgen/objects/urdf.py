@@ -16,6 +16,7 @@ MAX_BYTES = 4 << 20
 MAX_SHAPES = 1000  # of one URDF: an object has a few
 MAX_TRIANGLES = 2_000_000
 SECTIONS = 256  # around a cylinder, whose facets a gel would show
+MOST = 1e6  # of any number, m or rad
 FOLDERS_UP = 2  # from the URDF's, within which its meshes lie: package/urdf/model/model.urdf
 
 ReadMesh = Callable[[Path], trimesh.Trimesh]
@@ -195,7 +196,7 @@ def _numbers(
         found = np.array([float(word) for word in (text or "").split()])
     except ValueError:
         found = np.array([])
-    if not len(found) or not np.isfinite(found).all() or len(found) != len(default or found):
+    if not len(found) or len(found) != len(default or found) or not (abs(found) <= MOST).all():
         msg = f"{path}: <{element.tag} {key}={str(text)[:60]!r}> is not the numbers it takes"
         raise ObjectError(msg)
     return found
