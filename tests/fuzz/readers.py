@@ -92,6 +92,12 @@ CUBE_OBJ = "".join(
     + [f"f {face}\n" for face in CUBE_FACES]
 )
 
+CUBE_URDF = """<robot name="cube"><link name="a"><visual><origin xyz="0 0 0.1" rpy="0 0 1"/>
+<geometry><box size="0.03 0.03 0.03"/></geometry></visual></link><link name="b"><collision>
+<geometry><cylinder radius="0.01" length="0.05"/></geometry></collision></link>
+<joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint></robot>
+"""
+
 
 def _box(name: str) -> Callable[[Path], Path]:
     def make(folder: Path) -> Path:
@@ -344,6 +350,7 @@ READERS = {
     "rig recipe": Reader(_shipped("rig_two_effects.yaml"), _read_rig_recipe),
     "study": Reader(_shipped("paper_table.yaml"), _read_study),
     "object folder": Reader(_make_object, _read_object),
+    "mesh urdf": Reader(_text("cube.urdf", CUBE_URDF), _read_mesh),
     "mesh obj": Reader(_text("cube.obj", CUBE_OBJ), _read_mesh),
     "mesh stl": Reader(_box("box.stl"), _read_mesh),
     "mesh ply": Reader(_box("box.ply"), _read_mesh),
