@@ -377,6 +377,15 @@ def test_files_without_end(tmp_path, monkeypatch):
         read_rgb(path)
 
 
+def test_a_list_of_grasps_with_endless_columns(tmp_path):
+    path = READERS["real grasps"].make(tmp_path)
+    path.write_text(",".join(f"c{k}" for k in range(200_000)) + "\n")
+    start = time.process_time()
+    with pytest.raises(DatasetError, match="more than 1000 columns"):
+        READERS["real grasps"].read(path)
+    assert time.process_time() - start < 1.0
+
+
 def test_a_datapack_that_unfolds_is_refused_before_it_does(tmp_path):
     path = tmp_path / "dataPack.npz"
     with (

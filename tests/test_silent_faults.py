@@ -145,7 +145,7 @@ ROWS = [
     Row(5, "a mass in grams", "refused", f"{ADD}::test_grams_for_kilograms_are_refused"),
     Row(5, "heights in m, angles in degrees", "asked", "tests/collection/test_recipe.py::test_metres_and_degrees_are_suspected"),
     # own logs get in
-    Row(6, "42 programs' files of the same presses", "the same presses", READ),
+    Row(6, "44 programs' files of the same presses", "the same presses", READ),
     Row(6, "units, decimal commas, delimiters", "converted, and so it says", f"{LAB}::test_delimiters_and_decimal_marks"),
     Row(6, "comment lines, a preamble", "passed over", f"{LAB}::test_lines_above_the_header_and_comments_between_rows"),
     Row(6, "negative forces", "refused: --flip force", f"{LAB}::test_negative_readings_say_which_sign_to_flip"),

@@ -31,7 +31,7 @@ FAILURE_MODES: tuple[FailureMode, ...] = get_args(FailureMode)
 BACKGROUND = "background.png"  # image of the undeformed gel, where there is one
 ABOUT, MAX_ABOUT_BYTES = "about.json", 1 << 20
 """Says ``simulated: true`` where no robot made the grasps; a robot's folder needs none."""
-MAX_BYTES = 256 << 20  # some million grasps
+MAX_BYTES, MAX_COLUMNS = 256 << 20, 1000  # some million grasps
 MAX_PROBLEMS_SHOWN = 20  # enough to see a pattern in a message
 
 
@@ -146,6 +146,10 @@ def _read_table(path: Path, needs: Sequence[str]) -> pd.DataFrame:
         if path.stat().st_size > MAX_BYTES:
             msg = f"{path}: larger than {MAX_BYTES >> 20} MiB; this is not a list of grasps"
             raise DatasetError(msg)
+        with path.open("rb") as file:
+            if file.readline(MAX_ABOUT_BYTES).count(b",") > MAX_COLUMNS:
+                msg = f"{path}: more than {MAX_COLUMNS} columns; this is not a list of grasps"
+                raise DatasetError(msg)
         table = pd.read_csv(path, dtype=str, keep_default_na=False)
     except FileNotFoundError:
         msg = f"{path}: no such file; real grasps are a folder with grasps.csv and images/"

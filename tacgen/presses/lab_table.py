@@ -60,10 +60,14 @@ _FORCE = dict.fromkeys(("N", "Newton", "newton", "newtons"), 1.0)
 _FORCE |= {"mN": 1e-3, "uN": 1e-6, "kN": 1e3, "cN": 1e-2, "lbf": 0.45359237 * STANDARD_GRAVITY_M_S2}
 _FORCE |= dict.fromkeys(("g", "gf", "gram", "grams"), FORCE_UNITS_N["gf"])
 _FORCE |= dict.fromkeys(("kg", "kgf", "kp"), FORCE_UNITS_N["kgf"])
+_FORCE |= dict.fromkeys(("millinewton", "millinewtons"), 1e-3)
 _LENGTH = {"mm": 1.0, "m": 1e3, "cm": 10.0, "um": 1e-3, "micron": 1e-3, "microns": 1e-3, "nm": 1e-6}
 _LENGTH |= {"in": 25.4, "inch": 25.4}
+_LENGTH |= dict.fromkeys(("millimeter", "millimeters", "millimetre", "millimetres"), 1.0)
+_LENGTH |= dict.fromkeys(("micrometer", "micrometers", "micrometre", "micrometres"), 1e-3)
 _TIME = dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0)
-_TIME |= {"ms": 1e-3, "msec": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}
+_TIME |= dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), 1e-3)
+_TIME |= {"us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}
 _VOLUME = {"mm3": 1.0, "ul": 1.0, "cm3": 1e3, "ml": 1e3, "m3": 1e9, "um3": 1e-9}
 _VOLUME |= {"uL": 1.0, "mL": 1e3}
 _UNITS = {"n": _FORCE, "mm": _LENGTH, "s": _TIME, "mm3": _VOLUME}
@@ -454,9 +458,10 @@ def _plain_unit(text: str) -> str:
 def _spoken_unit(text: str, name: str) -> str:
     """The unit of ``name`` that a word is, in the case of a header too: `Mm`, `Sec`; else empty."""
     unit = _plain_unit(text)
-    if unit not in _units(name) and unit != "MN":  # a million newtons are no thousandth of one
-        unit = unit[:1].lower() + unit[1:]
-    return unit if unit in _units(name) else ""
+    forms = [unit]
+    if unit != "MN":  # a million newtons are no thousandth of one
+        forms += [unit[:1].lower() + unit[1:], *([unit.lower()] if len(unit) > 1 else [])]
+    return next((form for form in forms if form in _units(name)), "")
 
 
 def _unit_of(header: str, name: str) -> str:

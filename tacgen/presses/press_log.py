@@ -85,7 +85,7 @@ USUAL_PRESS_S = 5.0
 ODD_PRESS_S, ODD_STEP_S = 300.0, 1.0  # longer presses with rarer samples may be in ms
 
 REST_SHARE = 0.05  # of a press's samples, those with the least force: at rest
-HELD_SHARE = 0.7  # of the peak: a least force above it is a hold, or a gauge far from its zero
+HELD_SHARE = 0.7  # of the peaks: above it, the least force and its volume are of a hold
 
 SIGN_CORRELATION = 0.5  # of force and size of the response: beyond its negative, the sign is wrong
 SHUFFLED_SHARE = 0.1  # of a log's steps that go backwards in time: two presses under a number, few
@@ -586,7 +586,7 @@ def _peaks_and_compliances(
         peak[index] = force.max()
         rest = force <= np.quantile(force, REST_SHARE)
         zero = np.array([np.median(force[rest]), np.median(volume[rest])])
-        if zero[0] > HELD_SHARE * peak[index]:
+        if zero[0] > HELD_SHARE * peak[index] and zero[1] > HELD_SHARE * volume.max():
             zero = np.zeros(2)
         loaded = force - zero[0] >= 0.5 * (force.max() - zero[0])
         load = np.median(force[loaded]) - zero[0]

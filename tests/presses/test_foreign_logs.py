@@ -160,6 +160,20 @@ READ: dict[str, tuple[Callable[[pd.DataFrame], str | bytes], list[str]]] = {
         lambda f: named(f, "trialId", "timestampSec", "forceN", "depthMm").to_csv(index=False),
         [],
     ),
+    "capitals": (
+        lambda f: named(f, "TRIAL", "TIME [S]", "FORCE [N]", "DEPTH [MM]").to_csv(index=False),
+        [],
+    ),
+    "units in words": (
+        lambda f: named(
+            in_units(f, 1e3),
+            "trial",
+            "time (seconds)",
+            "force (millinewtons)",
+            "depth (millimeters)",
+        ).to_csv(index=False),
+        [],
+    ),
     "kN of a testing machine": (
         lambda f: named(
             in_units(f, 1e-3), "Cycle", "Test time [s]", "Standard force [kN]", "Stroke [mm]"
@@ -440,3 +454,10 @@ def test_no_page_runs_what_a_log_is_named(tmp_path):
         text = (tmp_path / page).read_text(encoding="utf-8")
         assert not [word for word in ("<script>alert", "<img src=x", "<b>log") if word in text]
     assert "onerror=alert(2)&gt;" in text
+
+
+def test_a_gauge_far_from_its_zero_is_no_other_unit(tmp_path):
+    frame = presses()
+    path = written(tmp_path, with_volume(frame.assign(F=frame["F"] + 40.0), *VOLUMES))
+    law = calibrate_contact(path, tmp_path / "law.yaml").law
+    assert law.k_n_mm3_per_n.value == pytest.approx(K_N, rel=0.01)

@@ -107,7 +107,7 @@ def read_contact_log(
     """
     if Path(log).is_dir():
         path, found = _measure_images(Path(log), table, save_log)
-        read = press_log_of(read_log_table(path, PLAIN))
+        read = press_log_of(read_log_table(path, log_format))
         return replace(read, warnings=(*found.warnings, *read.warnings)), found.marker_pitch_mm
     cells = read_log_table(Path(log), log_format)
     read = press_log_of(cells, radius_mm=radius_mm)
