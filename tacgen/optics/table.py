@@ -113,6 +113,12 @@ class LookupTable:
             return Response(self.response, self.max_slope_rad, self.contact)
         return Quadratic(self.coefficients, self.max_slope_rad, self.interpolation)
 
+    @property
+    def geometry(self) -> dict[str, float]:
+        """``mm_per_px``, and ``dome_radius_mm`` where it is known, of the sensor that it is of."""
+        dome = {"dome_radius_mm": self.contact.dome_radius_mm} if self.contact else {}
+        return {"mm_per_px": self.mm_per_px} | dome
+
     def __post_init__(self) -> None:
         problems = []
         if self.coefficients.ndim != 4 or self.coefficients.shape[2:] != (3, N_FEATURES):
