@@ -102,6 +102,7 @@ class DatasetFolder:
             "engine": spec.inputs.engine,
             "versions": spec.inputs.versions,
             "sensor": spec.sensor.name,
+            "colors_from": spec.colors_from,
             "pads": spec.pads,
             "n_grasps": spec.n_grasps,
             "shard_size": spec.shard_size,

@@ -119,6 +119,16 @@ class LookupTable:
         dome = {"dome_radius_mm": self.contact.dome_radius_mm} if self.contact else {}
         return {"mm_per_px": self.mm_per_px} | dome
 
+    @property
+    def origin(self) -> str:
+        """What its colours come from, in a few words: real presses, or a virtual sensor."""
+        known = self.provenance
+        if "source" in known:
+            return str(known["source"])
+        if "n_presses" in known:
+            return f"{known['n_presses']} ball presses ({known.get('made_by', 'tacgen')})"
+        return "not recorded" if self.sensor != "taxim" else "a Taxim calibration, imported"
+
     def __post_init__(self) -> None:
         problems = []
         if self.coefficients.ndim != 4 or self.coefficients.shape[2:] != (3, N_FEATURES):
