@@ -82,7 +82,7 @@ def calibrate_lookup(
     common.warn(command.warning_lines(used, made.scale))
     text = command.score_text(made.heldout)
     common.print_result(command.lookup_record(made, used), text, json_output)
-    dome_mm = made.table.provenance.get("press_model", {}).get("dome_radius_mm")
+    dome_mm = made.table.geometry.get("dome_radius_mm")
     lines = common.table_lines(out, made.table.shape_px, made.table.mm_per_px, presses, dome_mm)
     if presses.is_dir():
         own = common.session_sensor(presses) or shipped_sensor(made.table.shape_px)
@@ -261,18 +261,22 @@ def read(
 ) -> None:
     """Read depth, contact, volume and force from images of a calibrated sensor."""
     from tacgen.core.safe_io import read_rgb
+    from tacgen.optics import load_table
     from tacgen.sensor.read_image import ImageReader, read_files, reading_line
     from tacgen.sensor.simulated import Sensor
 
     at_rest = None if background is None else read_rgb(background)
-    known = Sensor(sensor, table, contact)
+    # Of the sensor that took the pictures, which is that of the table.
+    geometry = load_table(table).geometry if table else {}
+    scale, dome = (geometry.get(name) for name in ("mm_per_px", "dome_radius_mm"))
+    known = Sensor(sensor, table, contact, mm_per_px=scale, dome_radius_mm=dome)
     if contact is None:
         k_n = known.law.k_n_mm3_per_n.value
         common.warn([f"no --contact: forces are by the published k_n = {k_n:g} mm³/N"])
     rows = read_files(ImageReader(known, at_rest), images, out)
     common.print_result(rows, [*map(reading_line, rows), str(out / "readings.csv")], json_output)
-    files = {"table": table, "contact": contact}
-    given = "".join(f", {key}={str(path)!r}" for key, path in files.items() if path is not None)
+    files = {key: str(path) for key, path in (("table", table), ("contact", contact)) if path}
+    given = "".join(f", {key}={value!r}" for key, value in (files | geometry).items())
     call = f"tacgen.read_image(image_rgb, tacgen.Sensor({sensor!r}{given}))"
     common.hand_over(f"look at {out}; from Python: {call}")
 

@@ -41,7 +41,12 @@ def collect(
     from tacgen.collection.run import collect as run
     from tacgen.collection.run import describe
     from tacgen.core.errors import VerificationError
-    from tacgen.dataset.summary import none_executed, not_executed_lines, summarize
+    from tacgen.dataset.summary import (
+        none_executed,
+        not_executed_lines,
+        summarize,
+        validity_lines,
+    )
     from tacgen.dataset.verify import verify as check
 
     loaded = load_recipe(recipe)
@@ -67,7 +72,7 @@ def collect(
     if not (result.made or result.found):
         return
     summary = summarize(out)
-    common.warn(not_executed_lines(summary))
+    common.warn([*not_executed_lines(summary), *validity_lines(summary)])
     if none_executed(summary):
         raise typer.Exit(1)
     common.hand_over(

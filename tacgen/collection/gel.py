@@ -3,9 +3,12 @@
 import math
 from dataclasses import replace
 
-from tacgen.collection.recipe import Contact
+import numpy as np
+
+from tacgen.collection.recipe import Contact, Recipe
 from tacgen.contact.law import USUAL_PITCH_MM, ContactLaw, load_law
-from tacgen.core.records import ContactFrame, ContactPatch, Estimate, Mesh
+from tacgen.core.records import ContactFrame, ContactPatch, Estimate, Mesh, Sensor
+from tacgen.sensor.description import load_sensor
 from tacgen.sensor.gel_response import gel_loads
 from tacgen.sensor.tactile_pad import Indenter
 
@@ -26,6 +29,18 @@ def contact_law(contact: Contact) -> ContactLaw:
         k_depth = Estimate(contact.k_depth_mm_per_n, 0.0, "mm/N")
         return replace(law, law="linear_depth", k_depth_mm_per_n=k_depth)
     return law
+
+
+def mounted_sensor(recipe: Recipe, *, needs_table: bool = True) -> Sensor:
+    """The sensor of a recipe on its gripper: its gel, if nothing else is said, is the pad."""
+    sensor = load_sensor(recipe.sensor, needs_table=needs_table)
+    if sensor.gel_size_mm:
+        return sensor
+    gripper = recipe.robot.spec().gripper
+    size_mm = np.array([gripper.pad.depth_mm, gripper.pad.width_mm, gripper.pad.height_mm])
+    pad = recipe.physics_settings.sensing_pads[0]
+    width_mm, height_mm, _ = np.abs(size_mm @ gripper.side(pad).gel_axes).tolist()
+    return replace(sensor, gel_size_mm=(width_mm, height_mm))
 
 
 def gel_patch(

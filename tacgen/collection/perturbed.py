@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tacgen.collection.gel import contact_law, gel_patch
+from tacgen.collection.gel import contact_law, gel_patch, mounted_sensor
 from tacgen.collection.inputs import recipe_inputs
 from tacgen.collection.recipe import ObjectEntry, Recipe
 from tacgen.core.errors import DatasetError
@@ -21,7 +21,6 @@ from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.objects import load_object
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
 from tacgen.physics.settings import force_problem
-from tacgen.sensor.description import load_sensor
 from tacgen.sensor.tactile_pad import Indenter
 
 OUTCOMES = "outcomes.jsonl"
@@ -334,7 +333,7 @@ def _grasp_job(
     settings = recipe.physics_settings
     built = lru_cache(maxsize=1)(recipe_object)
     law = contact_law(recipe.contact)
-    indenter = Indenter(load_sensor(recipe.sensor, needs_table=False), recipe.contact.camera)
+    indenter = Indenter(mounted_sensor(recipe, needs_table=False), recipe.contact.camera)
     first_item = np.cumsum([0, *(len(changes) + 1 for _, changes in tasks)])
     with GraspSimulator(recipe.robot.spec(), recipe.physics.engine) as simulator:
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.collection.confidence import label_confidence
-from tacgen.collection.gel import SETTLED_PRESS, contact_law, gel_patch
+from tacgen.collection.gel import SETTLED_PRESS, contact_law, gel_patch, mounted_sensor
 from tacgen.collection.grid import Grids, PlannedGrasp, rng_of
 from tacgen.collection.inputs import recipe_inputs
 from tacgen.collection.perturbed import perturbed_object, recipe_object
@@ -162,6 +162,9 @@ class GraspPipeline:
             force_normal_n=np.array([frame.force_normal_n for frame in frames]),
             force_shear_n=np.array([frame.force_shear_n for frame in frames]),
             indentation_mm=np.array([one.imprint.indentation_mm for one in rendered]),
+            saturated=np.array([one.imprint.saturated for one in rendered]),
+            no_contact=np.array([one.imprint.status == "no_contact" for one in rendered]),
+            outside_window=np.array([one.imprint.status == "outside_window" for one in rendered]),
             depth_mm=depth_mm,
         )
 
@@ -171,7 +174,7 @@ def tactile_pad(recipe: Recipe) -> TactilePad:
 
     Raises ``TableError`` if the table cannot be read, or is of another resolution than the sensor.
     """
-    sensor = load_sensor(recipe.sensor)
+    sensor = mounted_sensor(recipe)
     table = load_table(sensor.table)
     if table.shape_px != sensor.shape_px:
         (rows, columns), (height, width) = table.shape_px, sensor.shape_px

@@ -418,7 +418,8 @@ def _unknown_names(recipe: Recipe, source: YamlSource) -> Iterable[str]:
         except ObjectError:
             hint = unknown_object_hint(entry.name, object_folders(entry.folder))
             yield source.problem(("objects", i), f"= {entry.name!r} is not an object here{hint}")
-    yield from sensor_problems(recipe.sensor, source)
+    markers = ("optics", "markers") if recipe.optics.markers else None
+    yield from sensor_problems(recipe.sensor, source, markers)
     try:
         recipe.robot.spec()
     except (PhysicsError, RecipeError) as error:

@@ -10,7 +10,7 @@ from typing import Any
 
 from tacgen.collection.grid import PlannedGrasp, grown_plan
 from tacgen.collection.pipeline import GraspPipeline, dataset_spec, frame_times_s
-from tacgen.collection.recipe import Recipe
+from tacgen.collection.recipe import Recipe, load_recipe
 from tacgen.core.disk import disk_errors
 from tacgen.core.progress import print_status, progress_counter
 from tacgen.core.records import LABEL_NOT_EXECUTED
@@ -72,8 +72,8 @@ class Collected:
 
 
 def collect(
-    recipe: Recipe,
-    out: Path,
+    recipe: Recipe | str | Path,
+    out: Path | str,
     *,
     workers: int = 1,
     shards: Sequence[int] | None = None,
@@ -86,6 +86,8 @@ def collect(
 
     Parameters
     ----------
+    recipe : Recipe, or the name or path of one
+    out : path of the dataset's folder
     shards : sequence of int, optional
         The share of this call; all by default.
     redo : sequence of int
@@ -104,11 +106,11 @@ def collect(
 
     Examples
     --------
-    >>> recipe = tacgen.load_recipe("two_grasps.yaml")
-    >>> _ = tacgen.collect(recipe, Path("data"), progress=False)
+    >>> _ = tacgen.collect("two_grasps.yaml", "data", progress=False)
     >>> len(tacgen.Dataset("data"))
     2
     """
+    recipe, out = recipe if isinstance(recipe, Recipe) else load_recipe(recipe), Path(out)
     if not DatasetFolder(out).plan_path.is_file():
         # Before anything is written: is the engine there?
         GraspSimulator(recipe.robot.spec(), recipe.physics.engine)

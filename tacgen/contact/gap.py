@@ -1,5 +1,6 @@
 """The gap map: how far each point of the gel's surface is from the object."""
 
+import math
 import operator
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,11 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.contact.gel import gel_map_mm
+from tacgen.contact.gel import gel_map_mm, gel_size_mm
 from tacgen.contact.raster import (
+    CellMesh,
     Float64,
     Int32,
     cut_mesh,
+    dome_mm,
+    faces_beside,
     faces_over,
     rasterize,
     whole_mesh,
@@ -37,6 +41,15 @@ touch anywhere, whatever the shape of the mesh."""
 
 CUT_AFTER = 30
 """Uses of a mesh before it is cut into cells: that takes as long as about so many uses save."""
+
+BESIDE_MM = 0.5
+"""About the size of the pixels of the gel around the window, of which only the balance of forces is
+taken: contact patches are some millimetres wide."""
+
+ROTATION_TOLERANCE = 1e-3
+"""By which the axes of a pose may be off those of a rotation: more than rounding to four digits."""
+
+_NONE: Int32 = np.empty(0, np.int32)
 
 DepthCamera = Callable[[Float64, Int32, Float64, Sensor], Float64]
 
@@ -95,6 +108,109 @@ def _fill_grains(
             grains_row[k] = np.int32(min(gap, NO_OBJECT))
 
 
+@njit(cache=True, nogil=True)
+def _gather_beside(
+    depth_mm: Float64,
+    gel_mm: Float64,
+    outside: NDArray[np.bool_],
+    drawn: tuple[int, int, int, int],
+    zero_mm: float,
+    limit_mm: float,
+    grains: Int32,
+    places: Int32,
+) -> int:
+    """Gaps beyond ``zero_mm`` of the pixels ``outside``, below ``limit_mm``, and their places.
+
+    ``depth_mm`` is +inf again where it was ``drawn``. Returns their number.
+    """
+    top, bottom, left, right = drawn
+    count, per_mm = 0, 1.0 / GAP_GRAIN_MM
+    if zero_mm == np.inf:
+        for r in range(top, bottom):
+            for c in range(left, right):
+                if outside[r, c]:
+                    zero_mm = min(zero_mm, depth_mm[r, c] - gel_mm[r, c])
+    for r in range(top, bottom):
+        for c in range(left, right):
+            gap_mm = depth_mm[r, c] - gel_mm[r, c]
+            depth_mm[r, c] = np.inf
+            if outside[r, c] and gap_mm < limit_mm:
+                gap = (gap_mm - zero_mm) * per_mm + 0.5
+                grains[count] = np.int32(max(min(gap, NO_OBJECT), -NO_OBJECT))
+                places[count] = r * depth_mm.shape[1] + c
+                count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _is_within(columns: Float64, rows: Float64, shape_px: tuple[int, int]) -> bool:
+    """Whether all points, in pixels, are in the window."""
+    low_x, high_x, low_y, high_y = np.inf, -np.inf, np.inf, -np.inf
+    for k in range(columns.shape[0]):
+        low_x, high_x = min(low_x, columns[k]), max(high_x, columns[k])
+        low_y, high_y = min(low_y, rows[k]), max(high_y, rows[k])
+    within_x = low_x >= 0 and high_x <= shape_px[1] - 1
+    return bool(within_x and low_y >= 0 and high_y <= shape_px[0] - 1)
+
+
+class _Surround:
+    """The gel around a sensor's window, in pixels of about ``BESIDE_MM``.
+
+    The camera does not see what touches there, but it carries a part of the force.
+    """
+
+    def __init__(self, sensor: Sensor) -> None:
+        # A power of two, of which images usually are multiples.
+        self.pixels = 2 ** max(0, round(math.log2(BESIDE_MM / sensor.mm_per_px)))
+        self._pixel_mm = self.pixels * sensor.mm_per_px
+        self._dome_mm = sensor.dome_radius_mm
+        window_mm = np.array([sensor.width_px, sensor.height_px]) * sensor.mm_per_px
+        self._half_window_mm = float(window_mm[0] / 2), float(window_mm[1] / 2)
+        size_mm = gel_size_mm(sensor)
+        # An even number of pixels, so that the window is whole pixels where it can be.
+        columns, rows = (2 * math.ceil(one / (2 * self._pixel_mm) - 1e-6) for one in size_mm)
+        self._shape_px = rows, columns
+        x_mm, y_mm = (self._pixel_mm * (np.arange(n) + 0.5 - n / 2) for n in (columns, rows))
+        self.places_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
+        away_mm = np.abs(self.places_mm)
+        outside = (away_mm > self._half_window_mm).any(axis=1)
+        outside &= (away_mm < np.array(size_mm) / 2).all(axis=1)
+        self._outside = outside.reshape(self._shape_px)
+        square_mm2 = (self.places_mm**2).sum(axis=1).tolist()
+        gel_mm = np.array([dome_mm(one, self._dome_mm) for one in square_mm2])
+        self._gel_mm = gel_mm.reshape(self._shape_px)
+        self._depth_mm = np.full(self._shape_px, np.inf)
+        self._grains = np.empty(len(gel_mm), np.int32)
+        self._places = np.empty(len(gel_mm), np.int32)
+        self._mesh: CellMesh | None = None
+        self._posed, self._found = np.empty((3, 0)), np.empty((0, 3), np.int32)
+        self.is_there = bool(self._outside.any())
+
+    def gaps(
+        self, mesh: CellMesh, pose: Float64, heights_mm: Float64, zero_mm: float, reach_mm: float
+    ) -> tuple[Int32, Int32]:
+        """Gaps beyond ``zero_mm`` as of ``GapMapper.beside``, and their places."""
+        if self._mesh is not mesh:  # memory for what is posed of it
+            self._mesh = mesh
+            self._posed, self._found = np.empty((3, heights_mm.size)), np.empty_like(mesh.faces)
+        posed, found = self._posed, self._found
+        limit_mm = zero_mm + reach_mm if np.isfinite(zero_mm) else np.inf
+        count = faces_beside(
+            *(mesh.vertices_mm, mesh.faces, mesh.first, mesh.spheres_mm, mesh.halves_mm),
+            *(pose, self._half_window_mm, self._pixel_mm, self._shape_px, self._dome_mm),
+            *(limit_mm, heights_mm, posed, found),
+        )
+        if not count:
+            return _NONE, _NONE
+        x, y, z = posed
+        drawn = rasterize(x, y, z, found[:count], self._gel_mm, limit_mm, 1, self._depth_mm)
+        count = _gather_beside(
+            *(self._depth_mm, self._gel_mm, self._outside, drawn, zero_mm, limit_mm),
+            *(self._grains, self._places),
+        )
+        return self._grains[:count], self._places[:count]
+
+
 class GapMapper:
     """Takes gap maps of meshes over one sensor, in memory that it keeps.
 
@@ -107,6 +223,7 @@ class GapMapper:
             raise ContactError(msg)
         self.sensor = sensor
         self._gel_mm = gel_map_mm(sensor)
+        self._surround = _Surround(sensor)
         self._depth_mm = np.full(sensor.shape_px, np.inf)
         self._drawn = (0, 0, 0, 0)  # the window of the depth map that is not +inf
         self._grains = np.empty(sensor.height_px * sensor.width_px, dtype=np.int32)
@@ -116,11 +233,38 @@ class GapMapper:
         self._mesh = whole_mesh(np.empty((0, 3)), np.empty((0, 3), dtype=np.int32))
         self._posed = np.empty((3, 0))
         self._faces = np.empty((0, 3), dtype=np.int32)
+        self._pose, self._zero_mm = np.eye(4), np.inf
         self._camera: DepthCamera | None = None
         if camera == "pyrender":
             from tacgen.contact.pyrender_camera import depth_map_mm
 
             self._camera = depth_map_mm
+
+    @property
+    def beside_mm(self) -> Float64:
+        """Places (n, 2) of the gel around the window, gel frame, mm."""
+        return self._surround.places_mm
+
+    @property
+    def beside_pixels(self) -> int:
+        """How many pixels of the window each of them stands for."""
+        return int(self._surround.pixels**2)
+
+    def beside(self, reach_mm: float) -> tuple[Int32, Int32]:
+        """Gaps of the gel around the window, of what was measured last, and their places.
+
+        Those (n,) below ``reach_mm`` beyond first touch in the window, in grains: negative where
+        the object touches there first. Where there is no object in the window, all of them, beyond
+        first touch there. Places (n,) are indices of ``beside_mm``; both are as short-lived as
+        ``grains``.
+        """
+        if not self._surround.is_there:
+            return _NONE, _NONE
+        columns, rows, heights_mm = self._posed
+        is_whole = len(self._mesh.spheres_mm) == 1  # and all its vertices are posed
+        if is_whole and _is_within(columns, rows, self.sensor.shape_px):
+            return _NONE, _NONE
+        return self._surround.gaps(self._mesh, self._pose, heights_mm, self._zero_mm, reach_mm)
 
     def measure(
         self,
@@ -143,12 +287,14 @@ class GapMapper:
             window, zero_mm = self._rasterize(pose, reach_mm)
         else:
             mesh = self._mesh
+            self._faces_over(pose)
             self._depth_mm[...] = self._camera(mesh.vertices_mm, mesh.faces, pose, self.sensor)
             window = (0, self.sensor.height_px, 0, self.sensor.width_px)
             zero_mm = _smallest_gap(self._depth_mm, self._gel_mm, window)
-        top, bottom, left, right = window
+        self._pose, self._zero_mm = pose, zero_mm
         if not np.isfinite(zero_mm):
             return ObjectGap((0, 0, 0, 0), np.empty((0, 0), dtype=np.int32), np.inf)
+        top, bottom, left, right = window
         shape = (bottom - top, right - left)
         grains = self._grains[: shape[0] * shape[1]].reshape(shape)
         _fill_grains(self._depth_mm, self._gel_mm, window, zero_mm, grains)
@@ -171,15 +317,19 @@ class GapMapper:
         self._posed, self._faces = np.empty((3, len(vertices))), np.empty_like(corners)
         return pose
 
+    def _faces_over(self, pose_gel_object: Float64) -> Int32:
+        """Pose the mesh; the faces over the window."""
+        mesh, posed, found = self._mesh, self._posed, self._faces
+        arrays = (mesh.vertices_mm, mesh.faces, mesh.first, mesh.spheres_mm)
+        view = (pose_gel_object, self.sensor.mm_per_px, self.sensor.shape_px)
+        return found[: faces_over(*arrays, *view, posed, found)]
+
     def _rasterize(
         self, pose_gel_object: Float64, reach_mm: float
     ) -> tuple[tuple[int, int, int, int], float]:
-        sensor, gel_mm, depth_mm = self.sensor, self._gel_mm, self._depth_mm
-        mesh, posed, found = self._mesh, self._posed, self._faces
-        arrays = (mesh.vertices_mm, mesh.faces, mesh.first, mesh.spheres_mm)
-        view = (pose_gel_object, sensor.mm_per_px, sensor.shape_px)
-        over = found[: faces_over(*arrays, *view, posed, found)]
-        x, y, z = posed
+        gel_mm, depth_mm = self._gel_mm, self._depth_mm
+        over = self._faces_over(pose_gel_object)
+        x, y, z = self._posed
         top, bottom, left, right = self._drawn
         depth_mm[top:bottom, left:right] = np.inf
         first = rasterize(x, y, z, over, gel_mm, np.inf, FIRST_ROWS, depth_mm)
@@ -251,10 +401,47 @@ def gap_map(
 def checked_pose(pose_gel_object: FloatArray) -> Float64:
     """The pose as the rasteriser reads it; raises ``ContactError`` if it is none."""
     pose = np.ascontiguousarray(pose_gel_object, dtype=np.float64)
-    if pose.shape != (4, 4) or not np.isfinite(pose).all():
-        msg = f"pose_gel_object of shape {pose.shape} is not (4, 4) finite numbers"
+    if problem := pose_problem(pose):
+        msg = f"pose_gel_object {problem}"
         raise ContactError(msg)
     return pose
+
+
+def pose_problem(pose: Float64) -> str:
+    """What is wrong with a pose, with the fix; empty if it is a rotation and a translation."""
+    if pose.shape == (4, 4) and _is_rigid(pose):
+        return ""
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        return f"of shape {pose.shape} is not (4, 4) finite numbers"
+    if not np.allclose(pose[3], [0.0, 0.0, 0.0, 1.0], atol=ROTATION_TOLERANCE):
+        row = ", ".join(f"{one:g}" for one in pose[3])
+        return f"has the last row {row} instead of 0, 0, 0, 1; was it transposed?"
+    lengths = np.linalg.norm(pose[:3, :3], axis=0)
+    if np.abs(lengths - 1.0).max() > ROTATION_TOLERANCE:
+        sizes = ", ".join(f"{one:.4g}" for one in lengths)
+        return f"is no rotation: its axes are {sizes} long, not 1; scale the mesh instead"
+    if np.linalg.det(pose[:3, :3]) < 0:
+        return "is no rotation: it mirrors (its determinant is -1); turn one of its axes round"
+    return "is no rotation: its axes are not at right angles"
+
+
+@njit(cache=True, nogil=True)
+def _is_rigid(pose: Float64) -> bool:
+    """Whether the (4, 4) matrix turns and moves, without scaling, shearing or mirroring."""
+    for i in range(3):
+        if not abs(pose[i, 3]) < np.inf:
+            return False
+        for j in range(i, 3):
+            product = pose[0, i] * pose[0, j] + pose[1, i] * pose[1, j] + pose[2, i] * pose[2, j]
+            if not abs(product - (1.0 if i == j else 0.0)) <= ROTATION_TOLERANCE:
+                return False
+    for j in range(4):
+        if not abs(pose[3, j] - (1.0 if j == 3 else 0.0)) <= ROTATION_TOLERANCE:
+            return False
+    minor_x = pose[1, 1] * pose[2, 2] - pose[1, 2] * pose[2, 1]
+    minor_y = pose[1, 0] * pose[2, 2] - pose[1, 2] * pose[2, 0]
+    minor_z = pose[1, 0] * pose[2, 1] - pose[1, 1] * pose[2, 0]
+    return bool(pose[0, 0] * minor_x - pose[0, 1] * minor_y + pose[0, 2] * minor_z > 0.0)
 
 
 def checked_mesh(
@@ -279,7 +466,7 @@ def checked_mesh(
             f"faces name corners {corners.min()} to {corners.max()}, "
             f"but there are {len(vertices)} vertices"
         )
-    if pose.shape != (4, 4) or not np.isfinite(pose).all():
-        problems.append(f"pose_gel_object of shape {pose.shape} is not (4, 4) finite numbers")
+    if problem := pose_problem(pose):
+        problems.append(f"pose_gel_object {problem}")
     ContactError.raise_if(problems)
     return vertices, corners, pose

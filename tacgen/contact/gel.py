@@ -7,6 +7,10 @@ from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import ContactError
 from tacgen.core.records import Sensor
 
+GEL_MARGIN_MM = 5.0
+"""Of gel around the window, where a sensor's file does not say: between the 2.5 mm around that of
+the GelSight of Si et al. and the 7 mm to the rim of a GelSight Mini, 32 × 28 mm."""
+
 
 def pixel_centers_mm(sensor: Sensor) -> tuple[FloatArray, FloatArray]:
     """Centres of the pixels: x of every column (W,) and y of every row (H,), gel frame, mm."""
@@ -14,6 +18,13 @@ def pixel_centers_mm(sensor: Sensor) -> tuple[FloatArray, FloatArray]:
     x_mm = (np.arange(sensor.width_px) + 0.5 - sensor.width_px / 2) * s
     y_mm = (np.arange(sensor.height_px) + 0.5 - sensor.height_px / 2) * s
     return x_mm, y_mm
+
+
+def gel_size_mm(sensor: Sensor) -> tuple[float, float]:
+    """Width and height of the whole gel, at least those of the window, mm."""
+    window = sensor.width_px * sensor.mm_per_px, sensor.height_px * sensor.mm_per_px
+    given = sensor.gel_size_mm or (window[0] + 2 * GEL_MARGIN_MM, window[1] + 2 * GEL_MARGIN_MM)
+    return max(window[0], given[0]), max(window[1], given[1])
 
 
 def gel_map_mm(sensor: Sensor) -> Float64:

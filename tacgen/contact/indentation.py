@@ -90,12 +90,30 @@ def _sum_below(grains: NDArray[np.int32], limit: int, stride: int) -> tuple[int,
 
 
 @njit(cache=True, nogil=True)
-def solve_grains(grains: NDArray[np.int32], volume: float, deepest: float) -> float:
+def _sum_of(gaps: NDArray[np.int32], limit: int) -> tuple[int, int]:
+    """Count and sum of the ``gaps`` below ``limit``."""
+    count, total = 0, 0
+    for gap in gaps:
+        if gap < limit:
+            count += 1
+            total += gap
+    return count, total
+
+
+@njit(cache=True, nogil=True)
+def solve_grains(
+    grains: NDArray[np.int32],
+    volume: float,
+    deepest: float,
+    beside: NDArray[np.int32],
+    weight: float,
+) -> float:
     """``solve_indentation`` of a re-zeroed gap map in whole grains: sums are exact and quick.
 
     ``grains`` (h, w) int32 are gaps beyond first touch, more than ``deepest`` where there is no
-    object; ``volume`` is in pixels × grains; ``deepest`` is the largest δ there can be, in grains.
-    Returns δ in grains, exact, or ``deepest``.
+    object; ``beside`` (n,) are those of points around the window, of the same zero, each of which
+    stands for ``weight`` pixels. ``volume`` is in pixels × grains; ``deepest`` is the largest δ
+    there can be, in grains. Returns δ in grains, exact, or ``deepest``.
     """
     if volume <= 0.0:
         return 0.0
@@ -105,11 +123,13 @@ def solve_grains(grains: NDArray[np.int32], volume: float, deepest: float) -> fl
     for stride in (8, 1):
         for _ in range(1000):
             limit = int(min(math.ceil(delta), deepest + 1.0))
-            count, total = _sum_below(grains, limit, stride)
+            n_pixels, in_window = _sum_below(grains, limit, stride)
+            n_beside, around = _sum_of(beside, limit)
+            count = n_pixels + n_beside * weight / stride
             if count == 0:
                 delta = deepest
                 break
-            found = (volume / stride + total) / count
+            found = (volume / stride + in_window + around * weight / stride) / count
             if stride == 1 and math.ceil(found) == math.ceil(delta):
                 return min(found, deepest)
             if stride == 8 and abs(found - delta) < 1e-3 * delta:

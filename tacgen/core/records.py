@@ -18,6 +18,9 @@ PadName = Literal["left", "right"]
 PADS: tuple[str, ...] = get_args(PadName)
 
 Status = Literal["executed", "toppled", "unreachable", "no_contact", "crashed"]
+ContactStatus = Literal["ok", "no_contact", "outside_window"]
+"""What a tactile frame shows: the contact; a gel that nothing touches; a contact of which a part,
+or all, lies beside what the camera sees."""
 FailureMode = Literal["", "translational_slip", "rotational_slip"]
 
 Until = Literal["lift", "outcome"]
@@ -107,7 +110,9 @@ class Sensor:
     """The geometry of a vision-based tactile sensor.
 
     ``dome_radius_mm`` is the radius of curvature of the gel at rest (0: flat). ``gel_depth_mm``
-    is the gel's thickness, the largest indentation there can be. ``leds`` holds one unit vector
+    is the gel's thickness, the largest indentation there can be. ``gel_size_mm`` are the width and
+    height of the gel, whose middle is the window's: it is larger than what the camera sees; None
+    where they are not known. ``leds`` holds one unit vector
     a light in gel axes, pointing from the gel's centre towards the light, and its RGB weight.
     """
 
@@ -120,6 +125,7 @@ class Sensor:
     markers: Markers | None = None
     leds: tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...] = ()
     table: str = ""
+    gel_size_mm: tuple[float, float] | None = None
 
     @property
     def shape_px(self) -> tuple[int, int]:

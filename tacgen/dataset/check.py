@@ -1,7 +1,7 @@
 """What must hold for a grasp and for a shard, whether just written or read back later."""
 
 import itertools
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from tacgen.core.errors import DatasetError
 from tacgen.core.files import sha256_of
 from tacgen.core.records import LABEL_FAILURE, LABEL_NOT_EXECUTED, LABEL_SUCCESS
 from tacgen.dataset.manifest import ShardLine
-from tacgen.dataset.schema import FAILURE_MODES, SPLITS, STATUSES
+from tacgen.dataset.schema import FAILURE_MODES, SPLITS, STATUSES, VALIDITY_FIELDS, Layout
 from tacgen.dataset.shard import Shard, broken_as_error, is_image_sound, open_shard, read_image
 
 OUTCOME = {LABEL_SUCCESS: "success", LABEL_FAILURE: "failure", LABEL_NOT_EXECUTED: "not_executed"}
@@ -34,6 +34,22 @@ def tally(grasps: Iterable[GraspFacts]) -> dict[str, Any]:
             counts[key] = counts.get(key, 0) + 1
     found["failure_modes"].pop("", None)
     return found | {"objects": objects}
+
+
+def validity(columns: Mapping[str, NDArray[Any]], layout: Layout) -> dict[str, dict[str, int]]:
+    """How many of a shard's frames, of all pads, and grasps at their moment do not show the force.
+
+    ``columns`` are the shard's small arrays by their path.
+    """
+    executed = columns["/grasp/status"] == b"executed"
+    moments = columns["/grasp/grasp_frame"][executed]
+    found: dict[str, dict[str, int]] = {"frames": {}, "grasps": {}}
+    for field in VALIDITY_FIELDS:
+        pads = [columns[layout.path(field, pad)][executed] != 0 for pad in layout.pads]
+        at_moment = [flags[np.arange(len(moments)), moments] for flags in pads]
+        found["frames"][field.name] = int(np.sum(pads))
+        found["grasps"][field.name] = int(np.any(at_moment, axis=0).sum())
+    return found
 
 
 _MAX_NAMED = 5  # enough to see a pattern in a message
@@ -79,7 +95,10 @@ def _content_problems(shard: Shard, line: ShardLine, decode: bool) -> Iterator[s
         values = columns.get(array.path)
         if values is not None and values.dtype.kind == "f" and not array.nan:
             yield from _named(array.path, ~np.isfinite(values), "is not finite")
-    yield from _grasp_problems(columns, line)
+    problems = list(_grasp_problems(columns, line))
+    yield from problems
+    if not problems and (found := validity(columns, layout)) != line.validity:
+        yield f"validity is {found}, but {line.validity} in the manifest"
     executed = np.flatnonzero(columns["/grasp/status"] == b"executed")
     yield from _image_problems(shard, executed, decode)
 

@@ -20,6 +20,7 @@ from tacgen.core.records import PADS
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import DatasetSpec, GraspSample, frame_times_s, rgb_at_load
+from tacgen.dataset.schema import VALIDITY
 from tacgen.dataset.summary import replace_page, summarize
 from tacgen.report.page import templates
 
@@ -92,11 +93,14 @@ def write_gallery(root: Path | str, made: Mapping[int, Thumbnails] | None = None
     """
     folder = DatasetFolder(root)
     dataset = Dataset(folder.root, partial=True, check_hashes=False)
-    columns = dataset.columns(evenly(len(dataset.lines), MAX_SHARDS), contact=True)
+    shards = evenly(len(dataset.lines), MAX_SHARDS)
+    columns = dataset.columns(shards, contact=True)
+    flags = {pad: dataset.columns(shards, contact=True, pad=pad) for pad in dataset.pads}
     points = [_point(columns, row) for row in range(len(columns["index"]))]
     time_s = dataset.time_s
     cards = [
         _card(dataset, columns, row, points[row], time_s, made or {})
+        | {"flags": [_flags(flags[pad], row) for pad in dataset.pads]}
         for row in evenly(len(points), MAX_CARDS)
     ]
     try:
@@ -119,6 +123,21 @@ def write_gallery(root: Path | str, made: Mapping[int, Thumbnails] | None = None
     dataset.close()
     replace_page(folder.gallery_path, text)
     return folder.gallery_path
+
+
+def _flags(columns: Mapping[str, NDArray[Any]], row: int) -> str:
+    """What the images of a pad do not show of a grasp's force: at its moment, and in how many."""
+    if columns["status"][row] != "executed":
+        return ""
+    found, moment = [], int(columns["grasp_frame"][row])
+    for name in VALIDITY:
+        frames = columns[name][row]
+        n_flagged, words = int(frames.sum()), name.replace("_", " ")
+        if frames[moment]:
+            found.append(words)
+        elif n_flagged and name != "no_contact":  # before the fingers close there is none
+            found.append(f"{words} in {n_flagged} of {len(frames)}")
+    return ", ".join(found)
 
 
 def _point(columns: Mapping[str, NDArray[Any]], row: int) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tacgen.core.errors import DatasetError
 from tacgen.dataset.reader import Dataset
-from tacgen.dataset.samples import GraspSample
+from tacgen.dataset.samples import GraspSample, PadSample
 from tacgen.report.figures import new_figure
 from tacgen.report.page import write_page
 
@@ -35,10 +35,16 @@ def write_grasp_page(root: Path, index: int, path: Path) -> None:
         template="grasp.html",
         grasp=sample,
         outcome=outcome,
-        images={pad: zip(times, frames.rgb, strict=True) for pad, frames in sample.pads.items()},
+        images={pad: _captioned(times, frames) for pad, frames in sample.pads.items()},
         forces=_forces(sample, times_s) if sample.pads else None,
         depths={pad: _depth(depth) for pad, depth in depths.items() if depth is not None},
     )
+
+
+def _captioned(times: list[str], frames: PadSample) -> list[tuple[str, NDArray[np.uint8]]]:
+    """Each image with its time, and with what it does not show."""
+    captions = [", ".join([time, *frames.flags(k)]) for k, time in enumerate(times)]
+    return list(zip(captions, frames.rgb, strict=True))
 
 
 def _forces(sample: GraspSample, times_s: list[float]) -> Figure:

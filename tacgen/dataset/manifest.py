@@ -47,8 +47,9 @@ class ShardLine:
     ``counts`` counts ``success``, ``failure`` and ``not_executed``; ``objects`` does so by
     object. ``raw_bytes`` is the size of the arrays uncompressed. ``inputs`` names by role all that
     the shard depends on (see ``inputs.py``) and ``engine`` the physics engine, whose version stands
-    in ``versions``; ``part`` is 0, or counts how often the dataset had grown when the shard was
-    added.
+    in ``versions``; ``validity`` counts the ``frames``, and the ``grasps`` at their moment, that do
+    not show the whole force, by the flags of the schema; ``part`` is 0, or counts how often the
+    dataset had grown when the shard was added.
     """
 
     schema: Literal[1] = 1
@@ -70,6 +71,7 @@ class ShardLine:
     failure_modes: dict[str, int]
     splits: dict[str, int]
     objects: dict[str, dict[str, int]]
+    validity: dict[str, dict[str, int]] = Field(default_factory=dict)
     inputs: dict[str, str]
     engine: str
     part: NonNegativeInt

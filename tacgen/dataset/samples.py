@@ -18,7 +18,7 @@ from tacgen.core.records import (
     Until,
 )
 from tacgen.dataset.inputs import Inputs
-from tacgen.dataset.schema import FIELDS, STATE_FIELDS, Layout
+from tacgen.dataset.schema import FIELDS, STATE_FIELDS, VALIDITY, Field, Layout
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +28,9 @@ class PadSample:
     ``rgb`` (T, H, W, 3) uint8; ``force_normal_n`` (T,) presses into the gel, ``force_shear_n``
     (T, 2) is the force of the object on the gel along the gel's x and y; ``indentation_mm`` (T,) is
     δ of the contact law, how far the object stands in the gel at its deepest point; ``depth_mm``
-    (H, W) float16 is the indentation of each pixel at the moment of grasp.
+    (H, W) float16 is the indentation of each pixel at the moment of grasp. ``saturated``,
+    ``no_contact`` and ``outside_window`` (T,) say which frames do not show the whole force: the gel
+    is pressed through, nothing touches it, or a part of the pressure is beside the window.
     """
 
     rgb: NDArray[np.uint8]
@@ -36,6 +38,14 @@ class PadSample:
     force_shear_n: NDArray[np.floating]
     indentation_mm: NDArray[np.floating]
     depth_mm: NDArray[np.floating] | None = None
+    saturated: NDArray[np.uint8 | np.bool_] | None = None
+    no_contact: NDArray[np.uint8 | np.bool_] | None = None
+    outside_window: NDArray[np.uint8 | np.bool_] | None = None
+
+    def flags(self, frame: int) -> list[str]:
+        """Why the image of a frame does not show the whole force, in words; empty where it does."""
+        found = ((name, getattr(self, name)) for name in VALIDITY)
+        return [name.replace("_", " ") for name, one in found if one is not None and one[frame]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,10 +82,12 @@ class GraspSample:
     outcome_time_s: float = math.nan
 
 
-def frame_columns(pad: PadSample) -> dict[str, NDArray[np.floating]]:
+def frame_columns(
+    pad: PadSample, fields: Sequence[Field] = STATE_FIELDS
+) -> dict[str, NDArray[np.floating]]:
     """The numbers of a pad's frames as columns of a table, (T,) each."""
     found: dict[str, NDArray[np.floating]] = {}
-    for one in STATE_FIELDS:
+    for one in fields:
         values = np.asarray(one.value(pad))
         found |= zip(one.column_names, values.reshape(len(values), -1).T, strict=True)
     return found

@@ -153,6 +153,13 @@ def _of_pad(name: str, axes: tuple[str | int, ...], unit: str, text: str, **how:
     return Field(name=name, axes=axes, unit=unit, frame="gel", description=text, **given)
 
 
+VALIDITY = {
+    "saturated": "1: the gel is pressed through to its backing; more force would look the same",
+    "no_contact": "1: nothing touches the gel",
+    "outside_window": "1: over a twentieth of the pressure is beside what the camera sees",
+}
+"""What each frame of a pad says of its image, and what that means: 0 where it shows the force."""
+
 _GREY: dict[str, Any] = {"dtype": "uint8", "image": True}
 FIELDS: tuple[Field, ...] = (
     _column("index", "1", "", "number of the grasp in the dataset", "config.index", dtype="int64"),
@@ -203,6 +210,7 @@ FIELDS: tuple[Field, ...] = (
     _of_pad("force_normal_n", ("N", "T"), "N", "force into the gel"),
     _of_pad("force_shear_n", ("N", "T", 2), "N", _ON_GEL),
     _of_pad("indentation_mm", ("N", "T"), "mm", "indentation at the deepest point"),
+    *(_of_pad(name, ("N", "T"), "1", text, dtype="uint8") for name, text in VALIDITY.items()),
     Field(
         *("object", "pose", "float64", ("N", "T", 7), "mm; 1", "world", _POSE),
         source="sample.object_pose",
@@ -220,7 +228,11 @@ COLUMNS = tuple(field for field in FIELDS if field.group == "grasp")
 PAD_FIELDS = tuple(field for field in FIELDS if field.of == "pad")
 FRAME_FIELDS = tuple(f for f in PAD_FIELDS if f.axes[:2] == ("N", "T") and not f.noisy)
 """Figures of each frame of a pad, (N, T, …)."""
-STATE_FIELDS = tuple(f for f in FRAME_FIELDS if f.axes in (("N", "T"), ("N", "T", 2)))
+VALIDITY_FIELDS = tuple(f for f in FRAME_FIELDS if f.name in VALIDITY)
+"""Those that say what the frame's image does not show."""
+STATE_FIELDS = tuple(
+    f for f in FRAME_FIELDS if f.axes in (("N", "T"), ("N", "T", 2)) and f.name not in VALIDITY
+)
 """Those that are numbers and vectors."""
 
 

@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from tacgen.dataset.check import OUTCOME
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.manifest import ShardLine, total
 from tacgen.dataset.reader import Dataset
+from tacgen.dataset.schema import VALIDITY
 from tacgen.dataset.shard import broken_as_error, open_shard
 from tacgen.report.page import templates
 
@@ -23,9 +24,10 @@ def summarize(root: Path | str) -> dict[str, Any]:
 
     ``success_rate`` is over executed grasps, None where none was; ``ratio`` is the size of the
     arrays over that of the files; ``not_executed`` counts grasps by the reason why they could not
-    be executed, reasons that differ only in numbers as the first of them. ``inputs`` are the hashes
-    of all that the shards depend on, ``parts`` the grasps at first and those that each growth
-    added.
+    be executed, reasons that differ only in numbers as the first of them. ``validity`` counts the
+    frames of executed grasps and those whose images do not show the whole force. ``inputs`` are the
+    hashes of all that the shards depend on, ``parts`` the grasps at first and those that each
+    growth added.
 
     Raises ``DatasetError`` if there is no finished shard, or the manifest cannot be read.
     """
@@ -65,6 +67,7 @@ def summarize(root: Path | str) -> dict[str, Any]:
         "raw_bytes": raw,
         "ratio": raw / max(n_bytes, 1),
         "not_executed": _reasons(folder, lines),
+        "validity": _validity(lines),
     }
 
 
@@ -83,6 +86,30 @@ def not_executed_lines(summary: Mapping[str, Any]) -> list[str]:
     return lines + [f"  {count} × {reason}" for reason, count in reasons.items()]
 
 
+def validity_lines(summary: Mapping[str, Any]) -> list[str]:
+    """How many images do not show the whole force of their contact; none where all do."""
+    found = summary["validity"]
+    grasps = {k: n for k, n in found["grasps"].items() if n and k != "of"}
+    if not grasps:
+        return []
+    kinds = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in grasps.items())
+    return [
+        f"images of {found['grasps']['of']} grasps at their moment that do not show the whole "
+        f"force: {kinds} (each frame's flags are in the shards)"
+    ]
+
+
+def _validity(lines: Sequence[ShardLine]) -> dict[str, dict[str, int]]:
+    """Flagged frames and grasps at their moment, and of how many (``of``)."""
+    executed = sum(line.status.get("executed", 0) for line in lines)
+    n_frames = len(lines[0].pads) * lines[0].frames
+    found = {"frames": {"of": executed * n_frames}, "grasps": {"of": executed}}
+    for kind, counts in found.items():
+        for name in VALIDITY:
+            counts[name] = sum(line.validity.get(kind, {}).get(name, 0) for line in lines)
+    return found
+
+
 def success_rate(counts: Mapping[str, int]) -> float | None:
     """Successes over executed grasps; None where none was executed."""
     executed = counts.get("success", 0) + counts.get("failure", 0)
@@ -99,7 +126,7 @@ def summary_text(summary: Mapping[str, Any]) -> str:
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     page = templates("tacgen.dataset", escaped=False).get_template("summary.txt")
     text = page.render(summary=summary, table=table, widths=widths).rstrip("\n")
-    return "\n".join([text, *not_executed_lines(summary)])
+    return "\n".join([text, *not_executed_lines(summary), *validity_lines(summary)])
 
 
 def write_card(root: Path | str) -> Path:

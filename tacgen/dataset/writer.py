@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tacgen.core.disk import DiskFile
 from tacgen.core.files import sha256_of
 from tacgen.core.version import __version__
-from tacgen.dataset.check import GraspFacts, tally
+from tacgen.dataset.check import GraspFacts, tally, validity
 from tacgen.dataset.compression import storage_of, write_images
 from tacgen.dataset.inputs import library_versions
 from tacgen.dataset.manifest import ShardLine, shard_file
@@ -73,6 +73,7 @@ def write_shard_file(
         inputs=spec.inputs.of_objects({name for *_, name in outcomes}, part),
         engine=spec.inputs.engine,
         part=part,
+        validity=validity(small, layout),
         **tally(outcomes),
     )
 

@@ -114,6 +114,12 @@ class LookupTable:
         return Quadratic(self.coefficients, self.max_slope_rad, self.interpolation)
 
     @property
+    def geometry(self) -> dict[str, float]:
+        """``mm_per_px``, and ``dome_radius_mm`` where it is known, of the sensor that it is of."""
+        dome = {"dome_radius_mm": self.contact.dome_radius_mm} if self.contact else {}
+        return {"mm_per_px": self.mm_per_px} | dome
+
+    @property
     def origin(self) -> str:
         """What its colours come from, in a few words: real presses, or a virtual sensor."""
         known = self.provenance

@@ -88,7 +88,7 @@ class Camera:
 
     def __init__(self, recipe: RigRecipe, sensor: Sensor) -> None:
         self._sensor = sensor
-        self._draws = recipe.images.markers and sensor.markers is not None
+        self._draws = recipe.images.markers
         self._noise_grey = recipe.noise.camera_grey
         self._optics = VirtualSensor.like(
             sensor, shadow=recipe.images.shadow, blur_mm=recipe.images.blur_mm

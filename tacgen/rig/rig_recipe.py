@@ -218,7 +218,8 @@ def _name_problems(recipe: RigRecipe, source: YamlSource) -> Iterable[str]:
         yield source.problem(("indenters",), "is empty; give at least one ball")
     names = [indenter.name for indenter in recipe.indenters]
     yield from source.repeated("indenters", names, "rename one")
-    yield from sensor_problems(recipe.sensor, source)
+    markers = ("images", "markers") if recipe.images.markers else None
+    yield from sensor_problems(recipe.sensor, source, markers)
 
 
 def _effect_problems(recipe: RigRecipe, source: YamlSource) -> Iterable[str]:

@@ -11,7 +11,7 @@ from tacgen.core.errors import RecipeError
 from tacgen.core.files import is_file
 from tacgen.core.records import Markers, Sensor
 from tacgen.core.resources import packaged, sensor_path
-from tacgen.core.yaml_source import YamlSource, read_yaml, validate
+from tacgen.core.yaml_source import KeyPath, YamlSource, read_yaml, validate
 
 
 class SensorChoice(Located):
@@ -72,6 +72,9 @@ class _SensorYaml(Section):
     """Thickness of the gel, the largest indentation."""
     dome_radius_mm: NonNegativeFloat = 0.0
     """Radius of curvature of the gel; 0 for a flat gel."""
+    gel_size_mm: tuple[PositiveFloat, PositiveFloat] | None = None
+    """Width and height of the gel, which is larger than what the camera sees; 5 mm around the
+    window if not given."""
     markers: _MarkersYaml | None = None
     """Printed dots; none if not given."""
     leds: tuple[_Led, ...] = ()
@@ -109,12 +112,28 @@ def sensor_lines(
     ]
 
 
-def sensor_problems(choice: SensorChoice, source: YamlSource) -> Iterator[str]:
-    """A problem of the recipe ``source`` where there is no sensor of the name that it chooses."""
+def sensor_problems(
+    choice: SensorChoice, source: YamlSource, markers: KeyPath | None = None
+) -> Iterator[str]:
+    """Problems of the recipe ``source`` with the sensor that it chooses: there is none of the name.
+
+    ``markers`` is the key by which the recipe asks for the sensor's printed dots, if it does.
+    """
     try:
         sensor_path(choice.name, beside=choice.folder)
     except RecipeError as error:
         yield source.problem(("sensor",), f"= {choice.name!r}: {error}")
+        return
+    if markers and load_sensor(choice, needs_table=False).markers is None:
+        yield source.problem(markers, f"= true: {no_markers(choice.name)}")
+
+
+def no_markers(sensor: str) -> str:
+    """Why dots cannot be drawn on a sensor's images, with the fix."""
+    return (
+        f"the sensor {sensor} has no markers to draw; leave them out, or give its dots in the "
+        "sensor's file, `markers: {rows, columns, pitch_mm, radius_mm}`"
+    )
 
 
 def load_sensor(choice: SensorChoice | str, *, needs_table: bool = True) -> Sensor:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,8 @@ class GelLoad:
     motion, with which the object moves; ``turn_sum_mm2`` is k_s times the moment about the patch's
     middle: the sum of r × motion. Where ``pull_sum_mm`` (2,), k_s F_s alone, is given, it is the
     moment about the gel's origin, from which that of the pull is to be taken. The sums are over
-    markers of ``marker_pitch_mm``; 0: over the sensor's own, whatever they are.
+    markers of ``marker_pitch_mm``; 0: over the sensor's own, whatever they are. ``center_mm`` (2,)
+    is the centre of pressure, None where it is not known; loads that differ in it alone are equal.
     """
 
     volume_mm3: float | None = None
@@ -37,8 +38,9 @@ class GelLoad:
     turn_sum_mm2: float = 0.0
     pull_sum_mm: tuple[float, float] = (0.0, 0.0)
     marker_pitch_mm: float = 0.0
+    center_mm: tuple[float, float] | None = field(default=None, compare=False)
 
-    def turn_about_mm2(self, center_mm: FloatArray) -> float:
+    def turn_about_mm2(self, center_mm: FloatArray | tuple[float, float]) -> float:
         """The sum of r × motion about a patch whose middle is at ``center_mm`` (2,)."""
         x, y = self.pull_sum_mm
         return float(self.turn_sum_mm2 - (center_mm[0] * y - center_mm[1] * x))
@@ -110,9 +112,10 @@ def gel_load(
 ) -> GelLoad:
     """The load of a frame from the law's responses; ``normal`` is a volume, or TACTO's depth."""
     k_s = 0.0 if math.isnan(law.k_s_mm_per_n.value) else law.k_s_mm_per_n.value
-    turn_mm2, pull_mm = k_s * frame.torsion_n_mm, (0.0, 0.0)
+    turn_mm2, pull_mm, center_mm = k_s * frame.torsion_n_mm, (0.0, 0.0), None
     if frame.center_mm is not None:
         x, y = (float(k_s * force) for force in frame.force_shear_n)
+        center_mm = float(frame.center_mm[0]), float(frame.center_mm[1])
         turn_mm2 += float(frame.center_mm[0]) * y - float(frame.center_mm[1]) * x
         pull_mm = x, y
     is_depth = law.law == "linear_depth"
@@ -123,6 +126,7 @@ def gel_load(
         turn_sum_mm2=turn_mm2,
         pull_sum_mm=pull_mm,
         marker_pitch_mm=0.0 if math.isnan(law.marker_pitch_mm) else law.marker_pitch_mm,
+        center_mm=center_mm,
     )
 
 

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
@@ -22,6 +22,7 @@ from tacgen.optics.dots import MIN_TRACKED, dots_at_rest, dots_in, find_spots, f
 from tacgen.optics.reconstruct import Reconstructor
 from tacgen.sensor.gel_response import LOAD, ONSET_S
 from tacgen.sensor.simulated import Frame, Sensor
+from tacgen.sensor.tactile_pad import contact_status
 
 LEAST_DEPTH_MM = 0.03
 """Shallower than this there is no contact: pictures of a gel at rest reach 0.02 mm by noise."""
@@ -30,6 +31,10 @@ MARKER_STDERR_PX = 0.1
 MOST_OFF_STDERR = 3.0  # between the response that was read and that of the load that was found
 FIRST_FORCE_N, FORCES_TRIED = 0.01, 80  # in steps of 16 %
 LARGEST_FORCE_N = 1000.0  # no gel survives this; a law that needs more for a volume is saturated
+
+
+Picture: TypeAlias = NDArray[np.uint8] | str | Path
+"""An image (H, W, 3), RGB uint8, or the path of its file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,10 +89,8 @@ class ImageReader:
     turned, cropped or coloured otherwise than the table's.
     """
 
-    def __init__(
-        self, sensor: Sensor | str, background_rgb: NDArray[np.uint8] | None = None
-    ) -> None:
-        self.sensor = Sensor(sensor) if isinstance(sensor, str) else sensor
+    def __init__(self, sensor: Sensor | str, background_rgb: Picture | None = None) -> None:
+        self.sensor = sensor if isinstance(sensor, Sensor) else Sensor(sensor)
         at_rest = self.sensor.at_rest_rgb() if background_rgb is None else background_rgb
         self._background = self._checked(at_rest, "the background")
         dome_mm = self.sensor.description.dome_radius_mm
@@ -100,8 +103,8 @@ class ImageReader:
             markers = self.sensor.description.markers
             self._pitch_mm = markers.pitch_mm if markers else spacing_mm
 
-    def read(self, image_rgb: NDArray[np.uint8]) -> Reading:
-        """Depth, contact, volume and force of one picture (H, W, 3), RGB uint8.
+    def read(self, image_rgb: Picture) -> Reading:
+        """Depth, contact, volume and force of one picture (H, W, 3), RGB uint8, or of its file.
 
         Raises ``SensorError`` if it is of another size, ``TableError`` if it does not match the
         background: another sensor or light, other colours, turned, shifted or cropped otherwise.
@@ -132,6 +135,7 @@ class ImageReader:
             volume_stderr_mm3=shape.volume_stderr_mm3(imprint),
             shear_sum_mm=shear,
             message="",
+            status=contact_status(1.0, touches=bool(touched.any())),
         )
         if not touched.any():
             none = f"no contact: the gel is nowhere deeper than {LEAST_DEPTH_MM} mm"
@@ -162,7 +166,12 @@ class ImageReader:
         sum_mm = motion[0].sum(axis=0) * self.sensor.table.mm_per_px
         return sum_mm, np.asarray(dots.places_px + motion[0], np.float64)
 
-    def _checked(self, image: NDArray[np.uint8], what: str) -> NDArray[np.uint8]:
+    def _checked(self, picture: Picture, what: str) -> NDArray[np.uint8]:
+        if isinstance(picture, (str, Path)):
+            image = read_rgb(Path(picture), SensorError)
+            what = f"{picture}"
+        else:
+            image = np.asarray(picture)
         height, width = self.sensor.table.shape_px
         if image.dtype != np.uint8 or image.shape != (height, width, 3):
             msg = (
@@ -175,9 +184,9 @@ class ImageReader:
 
 
 def read_image(
-    image_rgb: NDArray[np.uint8],
+    image_rgb: Picture,
     sensor: Sensor | str,
-    background_rgb: NDArray[np.uint8] | None = None,
+    background_rgb: Picture | None = None,
 ) -> Reading:
     """The contact that a picture shows: depth, mask, volume, force with its standard error.
 
@@ -185,7 +194,7 @@ def read_image(
 
     Parameters
     ----------
-    image_rgb, background_rgb : (H, W, 3) uint8
+    image_rgb, background_rgb : (H, W, 3) uint8, or path of an image file
         RGB; the background is the gel at rest, by default as the table has it.
     sensor : Sensor or str
         The sensor that took the picture, with its table and contact law.
@@ -297,7 +306,8 @@ def _with_forces(reading: Reading, law: ContactLaw, mm_per_px: float, pitch_mm: 
         stderr = np.append(stderr, np.hypot(noise, by_k_s))
     message = _taken_as_known(law, LOAD[1 : 1 + len(response)])
     load, errors = _load_of(law, reading, response, stderr)
-    if not np.isfinite(load).all():
+    saturated = not np.isfinite(load).all()
+    if saturated:
         message = "no load of the contact law makes this imprint: saturated"
         if len(load) > 1:
             unknown = np.full(2, math.nan)
@@ -307,6 +317,7 @@ def _with_forces(reading: Reading, law: ContactLaw, mm_per_px: float, pitch_mm: 
         force_n=np.array([*unknown, *load[1:], load[0]]),
         force_stderr_n=np.array([*unknown, *errors[1:], errors[0]]),
         message=message,
+        saturated=saturated,
     )
 
 

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.contact.gap import pose_problem
+from tacgen.contact.gel import gel_size_mm
 from tacgen.contact.law import ContactLaw, load_law
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import ContactError, SensorError
-from tacgen.core.records import ContactFrame, Mesh
+from tacgen.core.records import ContactFrame, ContactStatus, Mesh
+from tacgen.core.records import Sensor as Description
 from tacgen.core.units import MM_PER_M
 from tacgen.optics.table import load_table
 from tacgen.sensor.description import SensorChoice, load_sensor
-from tacgen.sensor.gel_response import GelCourse, GelLoad, gel_loads
-from tacgen.sensor.tactile_pad import Imprint, TactilePad
+from tacgen.sensor.gel_response import GelCourse, gel_loads
+from tacgen.sensor.tactile_pad import Imprint, TactilePad, contact_status
 
 if TYPE_CHECKING:
     import trimesh
@@ -26,6 +30,11 @@ if TYPE_CHECKING:
     from tacgen.sensor.engines import EngineContacts
 
 MeshLike: TypeAlias = "trimesh.Trimesh | Mesh | tuple[FloatArray, NDArray[np.integer[Any]]]"
+
+SMALLEST_OBJECT_MM = 1.0  # of which a mesh in metres is less, and what one presses is not
+LEAST_MOVE_MM = 1e-6, 0.1
+"""Below the first a translation is rounding; below the second it is less than one means in mm, and
+up to a sensor's size in m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,11 +48,17 @@ class Frame:
         Indentation of the gel.
     contact_mask : (H, W) bool
     force_n : (3,) float64
-        Force of the object on the gel: along the gel's x and y, and into the gel.
+        Force of the object on the gel that the image shows: along the gel's x and y, and into the
+        gel. What acts on the gel beside the window is not in it.
     indentation_mm, volume_mm3 : float
-        Deepest indentation beyond first touch, and the displaced volume.
+        Deepest indentation beyond first touch, and the displaced volume, in the window.
     markers_px : (n, 2) float64 or None
         Places x, y of the marker dots in the image; None without markers.
+    saturated : bool
+        Whether the gel is pressed through to its backing: more force would look the same.
+    status : {"ok", "no_contact", "outside_window"}
+        ``outside_window`` where more than a twentieth of what presses on the sensor does so beside
+        the window.
     """
 
     rgb: NDArray[np.uint8]
@@ -53,6 +68,8 @@ class Frame:
     indentation_mm: float
     volume_mm3: float
     markers_px: NDArray[np.float64] | None
+    saturated: bool = field(default=False, kw_only=True)
+    status: ContactStatus = field(default="ok", kw_only=True)
 
 
 class Sensor:
@@ -141,7 +158,9 @@ class Sensor:
             In mm, in the object's own frame.
         pose_gel_object : (4, 4)
             Object to gel frame, mm. Where along the gel's z the object stands does not matter:
-            it is taken to first touch and pressed in from there.
+            it is taken to first touch and pressed in from there. The gel is larger than the
+            window (``gel_size_mm`` of the sensor's file, else 5 mm around it): what touches beside
+            the window carries its part of the force.
         force_n, shear_n, torsion_n_mm
             Force of the object into the gel, along the gel's x and y, and the moment about the
             gel's normal through the middle of the contact patch.
@@ -149,10 +168,15 @@ class Sensor:
         Raises
         ------
         ContactError
-            If the mesh, the pose or the force cannot be used.
+            If the mesh, the pose or the force cannot be used, or the object is beside the gel.
         """
+        warn_of_metres(pose_gel_object, "pose_gel_object")
         frame = _contact_frame(0.0, force_n, shear_n, torsion_n_mm, pose_gel_object)
-        return self._frame(as_mesh(mesh), frame, gel_loads(self.law, [frame])[0])
+        solid = as_mesh(mesh)
+        imprint = self._pad.press(solid, frame.pose_gel_object, gel_loads(self.law, [frame])[0])
+        if imprint.is_beside_gel:
+            raise ContactError(beside_gel(solid, frame.pose_gel_object, self.description))
+        return self._frame(frame, imprint)
 
     def at_rest_rgb(self) -> NDArray[np.uint8]:
         """The image (H, W, 3) of the gel with nothing on it, without noise."""
@@ -173,7 +197,8 @@ class Sensor:
         """
         from tacgen.sensor.engines import PyBulletContacts
 
-        self._simulation = PyBulletContacts(body_id, link_id, _pose(pose_link_gel), client_id)
+        pose_m = _pose(pose_link_gel, "pose_link_gel")
+        self._simulation = PyBulletContacts(self.description, body_id, link_id, pose_m, client_id)
         self.reset()
         return self
 
@@ -183,17 +208,19 @@ class Sensor:
         """Attach to a body of a MuJoCo model; ``pose_body_gel`` (4, 4), mm: gel to body frame."""
         from tacgen.sensor.engines import MujocoContacts
 
-        self._simulation = MujocoContacts(model, data, body, _pose(pose_body_gel))
+        pose_m = _pose(pose_body_gel, "pose_body_gel")
+        self._simulation = MujocoContacts(self.description, model, data, body, pose_m)
         self.reset()
         return self
 
     def add_object(
         self, body_id: int | str, mesh: MeshLike | None = None, *, scale: float = 1.0
     ) -> Sensor:
-        """Register a body that may touch the sensor.
+        """Register a body that may touch the sensor, with its links or child bodies.
 
         ``mesh`` is in the body's own frame; ``scale`` takes it to mm (1000 for metres). Without
-        one, the mesh is made from the shapes that the simulation itself collides.
+        one, the mesh is made from the shapes that the simulation itself collides; so is that of a
+        link or child body that a given mesh does not enclose. What touches is what is pressed.
         """
         given = None if mesh is None else as_mesh(mesh, scale)
         self._attached().add_object(body_id, given)
@@ -210,7 +237,7 @@ class Sensor:
         Raises ``SensorError`` if the sensor is not attached, or knows of no object.
         """
         simulation = self._attached()
-        mesh, pose, force, torsion_n_mm = simulation.contact()
+        touch = simulation.contact()
         clock_s, last_s = simulation.clock_s(), self._gel.last_s
         if time_s is not None:
             now_s = float(time_s)
@@ -222,9 +249,16 @@ class Sensor:
             self.reset()
         began_s = clock_s if self._began_s is None else self._began_s
         at_rest_s = 0.0 if clock_s is None or began_s is None else clock_s - began_s
-        frame = _contact_frame(now_s, max(float(force[2]), 0.0), force[:2], torsion_n_mm, pose)
-        frame = replace(frame, center_mm=simulation.center_mm)
-        return self._frame(mesh, frame, self._gel.load(frame, at_rest_s))
+        normal_n, shear_n = max(float(touch.force_n[2]), 0.0), touch.force_n[:2]
+        pose = touch.pose_gel_object
+        frame = _contact_frame(now_s, normal_n, shear_n, touch.torsion_n_mm, pose)
+        frame = replace(frame, center_mm=touch.center_mm)
+        imprint = self._pad.press(touch.mesh, pose, self._gel.load(frame, at_rest_s))
+        if imprint.is_beside_gel and touch.is_over_gel:
+            raise ContactError(beside_gel(touch.mesh, pose, self.description))
+        if not touch.is_on_gel(imprint):
+            imprint = Imprint(is_beside_gel=normal_n > 0)
+        return self._frame(frame, imprint, touch.share)
 
     def reset(self) -> None:
         """Begin a new press on a gel at rest."""
@@ -237,19 +271,23 @@ class Sensor:
             raise SensorError(msg)
         return self._simulation
 
-    def _frame(self, mesh: Mesh, contact: ContactFrame, load: GelLoad) -> Frame:
-        imprint = self._pad.press(mesh, contact.pose_gel_object, load)
+    def _frame(self, contact: ContactFrame, imprint: Imprint, share: float = 1.0) -> Frame:
+        """The frame of a load that is this ``share`` of what presses on the sensor."""
         top, bottom, left, right = imprint.window
         contact_mask = np.zeros(self.description.shape_px, dtype=bool)
         contact_mask[top:bottom, left:right] = imprint.depth_mm > 0
+        shown = imprint.share
+        force_n = np.array([*contact.force_shear_n, contact.force_normal_n])
         return Frame(
             rgb=self._pad.image(imprint, rng=self._rng),
             depth_mm=imprint.depth_map_mm(self.description),
             contact_mask=contact_mask,
-            force_n=np.array([*contact.force_shear_n, contact.force_normal_n]),
+            force_n=shown * force_n,
             indentation_mm=imprint.indentation_mm,
             volume_mm3=imprint.volume_mm3,
             markers_px=self._markers_px(imprint),
+            saturated=imprint.saturated,
+            status=contact_status(share * shown, touches=imprint.indentation_mm > 0),
         )
 
     def _markers_px(self, imprint: Imprint) -> NDArray[np.float64] | None:
@@ -274,7 +312,48 @@ def as_mesh(mesh: Any, scale: float = 1.0) -> Mesh:
     else:
         msg = f"a mesh is a trimesh.Trimesh or (vertices_mm, faces), not {type(mesh).__name__}"
         raise ContactError(msg)
-    return Mesh.fixed(scale * np.asarray(vertices, np.float64), faces)
+    solid = Mesh.fixed(scale * np.asarray(vertices, np.float64), faces)
+    # Of all three coordinates together, which is quicker and is as large or larger.
+    if solid.vertices_mm.size and np.ptp(solid.vertices_mm) < SMALLEST_OBJECT_MM:
+        size_mm = float(np.ptp(solid.vertices_mm, axis=0).max())
+        text = f"the mesh is {size_mm:.3g} mm large: is it in metres? Scale it to mm, by 1000"
+        warnings.warn(text, stacklevel=3)
+    return solid
+
+
+def warn_of_metres(pose_mm: Any, name: str) -> None:
+    """Warn where a pose moves by so little that it is in metres rather than in mm."""
+    pose = np.asarray(pose_mm, np.float64)
+    moves_mm = np.abs(pose[:3, 3]).max() if pose.shape == (4, 4) else 0.0
+    if LEAST_MOVE_MM[0] < moves_mm < LEAST_MOVE_MM[1]:
+        text = (
+            f"{name} moves by {moves_mm:.3g} mm: is its translation in metres? Multiply it by 1000"
+        )
+        warnings.warn(text, stacklevel=3)
+
+
+def beside_gel(mesh: Mesh, pose_gel_object: FloatArray, sensor: Description) -> str:
+    """Why an object cannot press on the gel: where it is, and the fix."""
+    if not len(mesh.faces):
+        return "the mesh has no faces: nothing can touch the gel"
+    places_mm = mesh.vertices_mm @ pose_gel_object[:2, :3].T + pose_gel_object[:2, 3]
+    low, high = places_mm.min(axis=0), places_mm.max(axis=0)
+    width_mm, height_mm = gel_size_mm(sensor)
+    if (low < (width_mm / 2, height_mm / 2)).all() and (
+        high > (-width_mm / 2, -height_mm / 2)
+    ).all():
+        return (
+            f"no pixel of {sensor.mm_per_px:g} mm has any of the object, which is "
+            f"{np.ptp(places_mm, axis=0).max():.3g} mm large, over it; give mesh and pose in mm"
+        )
+    along = " and ".join(
+        f"{axis} {start:.3g} to {stop:.3g}"
+        for axis, start, stop in zip("xy", low, high, strict=True)
+    )
+    return (
+        f"nothing of the object is over the gel of {width_mm:.3g} × {height_mm:.3g} mm: it is at "
+        f"{along} mm of the gel's frame; move it by pose_gel_object, and give mesh and pose in mm"
+    )
 
 
 def _contact_frame(
@@ -296,11 +375,12 @@ def _contact_frame(
     return ContactFrame(time_s, float(force_n), shear, float(torsion_n_mm), pose)
 
 
-def _pose(given_mm: FloatArray | None) -> NDArray[np.float64]:
+def _pose(given_mm: FloatArray | None, name: str) -> NDArray[np.float64]:
     """A (4, 4) pose in metres from one in mm; the identity where None."""
     pose = np.eye(4) if given_mm is None else np.array(given_mm, np.float64)
-    if pose.shape != (4, 4) or not np.isfinite(pose).all():
-        msg = f"a pose is a finite (4, 4) matrix in mm, not of shape {pose.shape}"
+    if problem := pose_problem(pose):
+        msg = f"{name} {problem}"
         raise SensorError(msg)
+    warn_of_metres(pose, name)
     pose[:3, 3] /= MM_PER_M
     return pose

@@ -1,29 +1,40 @@
 """A tactile pad: from a posed mesh and the load on the gel to the imprint and the image."""
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.contact.gap import GAP_GRAIN_MM, GapMapper, ObjectGap
-from tacgen.contact.gel import gel_map_mm, pixel_centers_mm
+from tacgen.contact.gel import gel_map_mm, gel_size_mm, pixel_centers_mm
 from tacgen.contact.indentation import solve_grains
 from tacgen.contact.shear import MarkerField, ShearMotion, marker_grid_mm, marker_pitch_mm
 from tacgen.core.arrays import FloatArray
 from tacgen.core.compiled import njit
-from tacgen.core.errors import TableError
-from tacgen.core.records import ContactPatch, Mesh, Sensor
+from tacgen.core.errors import SensorError, TableError
+from tacgen.core.records import ContactPatch, ContactStatus, Mesh, Sensor
 from tacgen.optics.deform import Deformer
 from tacgen.optics.render import Renderer
 from tacgen.optics.smooth import Window
 from tacgen.optics.table import LookupTable
+from tacgen.sensor.description import no_markers
 from tacgen.sensor.gel_response import GelLoad
 
+_NONE = np.empty(0, np.int32)
 REACH_MARGIN = 1.25
 """Triangles deeper than the last contact by this factor are left out of the first look at a new
 one, which is repeated where it turns out to be deeper: the result does not depend on it."""
 
 FIELD_POINTS = 1500  # points of a contact patch for the markers' motion and the pads' torsion
+
+OUTSIDE_SHARE = 0.05
+"""Of the pressure, from which on an image that does not show it is called ``outside_window``: what
+a reading of the force from an image is off by."""
+
+BESIDE_GEL_MM = 2.0
+"""By which a centre of pressure is beyond the gel where nothing presses on the gel: a pad's dome
+touches up to 1 mm beyond its outline."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +45,11 @@ class Imprint:
     its backing. ``window`` (top, bottom, left, right) holds the contact patch, ``depth_mm`` (h, w)
     float32 the indentation over it, in pixels of ``pixel_area_mm2``, by which the volume is summed.
     ``motion`` is how far shear has moved the object along the gel.
+
+    The gel around the window is indented too by ``beside_depth_mm`` (n,), each over
+    ``beside_area_mm2``, at the indenter's places ``beside_at`` (n,). ``is_beside_gel`` where the
+    object presses, but not on the gel. ``first_touch_mm`` is how far above the gel the object's
+    surface was in its pose.
     """
 
     indentation_mm: float = 0.0
@@ -43,11 +59,31 @@ class Imprint:
     pixel_area_mm2: float = 0.0
     motion: ShearMotion | None = None
     markers: MarkerField | None = None
+    beside_at: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
+    beside_depth_mm: FloatArray = field(default_factory=lambda: np.zeros(0))
+    beside_area_mm2: float = 0.0
+    is_beside_gel: bool = False
+    first_touch_mm: float = math.inf
 
     @property
     def volume_mm3(self) -> float:
-        """What the gel has really lost: less than asked for where it is saturated."""
+        """What the gel has really lost in the window: less than asked for where it is saturated."""
         return float(self.depth_mm.sum(dtype=np.float64)) * self.pixel_area_mm2
+
+    @property
+    def share(self) -> float:
+        """The part of the pressure that acts in the window."""
+        if self.is_beside_gel:
+            return 0.0
+        if not self.beside_depth_mm.size:
+            return 1.0
+        shown_mm3 = self.volume_mm3
+        return shown_mm3 / (shown_mm3 + float(self.beside_depth_mm.sum()) * self.beside_area_mm2)
+
+    @property
+    def status(self) -> ContactStatus:
+        """What the image shows of the contact."""
+        return contact_status(self.share, touches=self.indentation_mm > 0)
 
     def depth_map_mm(self, sensor: Sensor) -> NDArray[np.float32]:
         """Indentation over the whole pad, (H, W)."""
@@ -55,6 +91,13 @@ class Imprint:
         top, bottom, left, right = self.window
         whole[top:bottom, left:right] = self.depth_mm
         return whole
+
+
+def contact_status(share: float, *, touches: bool) -> ContactStatus:
+    """The status of a frame that shows this share of the pressure on the gel."""
+    if share < 1.0 - OUTSIDE_SHARE:
+        return "outside_window"
+    return "ok" if touches else "no_contact"
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +152,7 @@ class Indenter:
         self._mapper = GapMapper(sensor, camera)
         self._x_mm, self._y_mm = pixel_centers_mm(sensor)
         self._reach_mm = sensor.gel_depth_mm
+        self._spills = False  # beyond the window, as the last contact did
 
     def patch(self, mesh: Mesh, pose_gel_object: FloatArray, load: GelLoad) -> ContactPatch:
         """Where the gel presses on an object at a pose: its pressure is the indentation over k_n.
@@ -116,8 +160,15 @@ class Indenter:
         The law V = k_n F makes the gel an elastic foundation, F = ∫ depth/k_n dA.
         """
         imprint = self.indent(mesh, pose_gel_object, load)
-        points_mm, depth_mm, _ = self.sampled(imprint)
-        share = depth_mm.astype(np.float64)
+        points_mm, depth_mm, area_mm2 = self.sampled(imprint)
+        share = area_mm2 * depth_mm.astype(np.float64)
+        if n_beside := len(imprint.beside_depth_mm):
+            kept = slice(None, None, 1 + n_beside // FIELD_POINTS)
+            beside = imprint.beside_depth_mm[kept]
+            total = imprint.beside_area_mm2 * imprint.beside_depth_mm.sum()
+            share = np.concatenate([share, total * beside / beside.sum()])
+            beside_mm = self._mapper.beside_mm[imprint.beside_at[kept]]
+            points_mm = np.concatenate([points_mm, beside_mm])
         return ContactPatch(points_mm, share / max(share.sum(), 1e-12))
 
     def sampled(self, imprint: Imprint) -> tuple[NDArray[np.float64], NDArray[np.float32], float]:
@@ -139,39 +190,90 @@ class Indenter:
 
     def indent(self, mesh: Mesh, pose_gel_object: FloatArray, load: GelLoad) -> Imprint:
         """The imprint of an object at a pose, without its motion by shear."""
-        sensor = self.sensor
-        deepest = sensor.gel_depth_mm / GAP_GRAIN_MM
-        grain_mm3 = GAP_GRAIN_MM * sensor.pixel_area_mm2
-        reach_mm = self._reach_mm
+        asked = load.indentation_mm if load.volume_mm3 is None else load.volume_mm3
+        if not asked or asked <= 0:
+            return Imprint()
+        if load.center_mm is not None and self._is_beside_gel(load.center_mm):
+            return Imprint(is_beside_gel=True)
+        reach_mm, beside, places = self._reach_mm, _NONE, _NONE
         while True:
             gap = self._mapper.measure(
                 mesh.vertices_mm, mesh.faces, pose_gel_object, reach_mm=reach_mm
             )
-            delta = 0.0
-            if gap.touches and load.volume_mm3 is not None:
-                delta = solve_grains(gap.grains, load.volume_mm3 / grain_mm3, deepest)
-            elif gap.touches and load.indentation_mm is not None:
-                delta = min(max(0.0, load.indentation_mm / GAP_GRAIN_MM), deepest)
+            if self._spills:
+                beside, places = self._mapper.beside(reach_mm)
+            delta, deepest = self._delta(gap, beside, load)
             # What lies beyond the reach could only have made the gel give less: δ is a bound.
-            if delta * GAP_GRAIN_MM <= reach_mm:
-                self._reach_mm = REACH_MARGIN * delta * GAP_GRAIN_MM
-                return self._imprint_at(gap, delta, saturated=delta >= deepest)
+            if not gap.touches or delta * GAP_GRAIN_MM <= reach_mm:
+                break
             reach_mm = REACH_MARGIN * delta * GAP_GRAIN_MM
+        if not self._spills:  # nor could what touches beside the window
+            beside, places = self._mapper.beside(delta * GAP_GRAIN_MM)
+            if beside.size:
+                delta, deepest = self._delta(gap, beside, load)
+        if not gap.touches and not beside.size:
+            return Imprint(is_beside_gel=True)
+        if gap.touches:
+            self._reach_mm = max(0.0, REACH_MARGIN * delta * GAP_GRAIN_MM)
+        imprint = self._imprint_at(gap, delta, saturated=delta >= deepest)
+        touched = beside < delta
+        self._spills = bool(touched.any())
+        if not self._spills:
+            return imprint
+        return replace(
+            imprint,
+            beside_at=places[touched],
+            beside_depth_mm=GAP_GRAIN_MM * (delta - beside[touched]),
+            beside_area_mm2=self.sensor.pixel_area_mm2 * self._mapper.beside_pixels,
+        )
+
+    def _delta(
+        self, gap: ObjectGap, beside: NDArray[np.int32], load: GelLoad
+    ) -> tuple[float, float]:
+        """δ of a load, and the largest there can be, in grains beyond first touch in the window.
+
+        The object may touch beside it before: then the gel is pressed through sooner.
+        """
+        first = min(int(beside.min()), 0) if beside.size else 0
+        deepest = self.sensor.gel_depth_mm / GAP_GRAIN_MM + first
+        if load.volume_mm3 is None:
+            return min((load.indentation_mm or 0.0) / GAP_GRAIN_MM + first, deepest), deepest
+        if not (gap.touches or beside.size):
+            return deepest, deepest
+        volume = load.volume_mm3 / (GAP_GRAIN_MM * self.sensor.pixel_area_mm2)
+        weight = float(self._mapper.beside_pixels)
+        return solve_grains(gap.grains, volume, deepest, beside, weight), deepest
+
+    def _is_beside_gel(self, center_mm: tuple[float, float]) -> bool:
+        width_mm, height_mm = gel_size_mm(self.sensor)
+        beyond_mm = abs(center_mm[0]) - width_mm / 2, abs(center_mm[1]) - height_mm / 2
+        return max(beyond_mm) > BESIDE_GEL_MM
 
     def _imprint_at(self, gap: ObjectGap, delta: float, *, saturated: bool) -> Imprint:
-        if delta <= 0:
-            return Imprint()
+        if not gap.touches or delta <= 0:
+            return Imprint(saturated=saturated)
         bounds = _patch_bounds(gap.grains, delta)
         top, bottom, left, right = bounds
         depth_mm = np.empty((bottom - top, right - left), dtype=np.float32)
         _fill_depth(gap.grains, delta, bounds, GAP_GRAIN_MM, depth_mm)
         row, column = gap.window[0], gap.window[2]
         window = (row + top, row + bottom, column + left, column + right)
-        area_mm2 = self.sensor.pixel_area_mm2
-        return Imprint(delta * GAP_GRAIN_MM, saturated, window, depth_mm, area_mm2)
+        area_mm2, first_mm = self.sensor.pixel_area_mm2, gap.first_touch_mm
+        return Imprint(
+            *(delta * GAP_GRAIN_MM, saturated, window, depth_mm, area_mm2), first_touch_mm=first_mm
+        )
 
 
 SAME_SCALE = 0.01  # relative difference of mm/px between a table and its sensor: 2 % of an area
+
+
+SAME_SLOPE = 0.02
+"""Difference in slope at the window's edge between the gel of a table and its sensor's: by it a
+picture changes as by its own noise."""
+
+
+def _curvature(dome_radius_mm: float) -> float:
+    return 1.0 / dome_radius_mm if dome_radius_mm else 0.0
 
 
 class TactilePad:
@@ -179,7 +281,8 @@ class TactilePad:
 
     ``table`` is of the sensor's resolution; ``camera`` ("raster" or "pyrender") takes the gap map.
 
-    Raises ``ContactError`` if the camera cannot be used, ``TableError`` if the table does not fit.
+    Raises ``ContactError`` if the camera cannot be used, ``TableError`` if the table does not fit,
+    ``SensorError`` if there are no markers to draw.
     """
 
     def __init__(
@@ -198,20 +301,31 @@ class TactilePad:
                 f"`mm_per_px: {table.mm_per_px:g}` beside the table"
             )
             raise TableError(msg)
+        dome_mm = table.geometry.get("dome_radius_mm", sensor.dome_radius_mm)
+        edge_mm = sensor.mm_per_px * max(sensor.shape_px) / 2
+        off = abs(_curvature(dome_mm) - _curvature(sensor.dome_radius_mm)) * edge_mm
+        if off > SAME_SLOPE:
+            msg = (
+                f"the table is of a gel with a dome of {dome_mm:g} mm (0: flat), the sensor "
+                f"{sensor.name} of {sensor.dome_radius_mm:g}: at rest its picture would be "
+                f"another; write `dome_radius_mm: {dome_mm:g}` beside the table"
+            )
+            raise TableError(msg)
+        if markers and sensor.markers is None:
+            raise SensorError(no_markers(sensor.name))
         self.sensor = sensor
         self.table = table
         self.indenter = Indenter(sensor, camera)
         self._deformer = Deformer(sensor.mm_per_px)
-        draws = markers and sensor.markers is not None
         self._renderer = Renderer(
             table,
             gel_map_mm(sensor),
             shadows=shadows,
             leds=sensor.leds,
-            marker_radius_mm=sensor.markers.radius_mm if draws and sensor.markers else 0.0,
+            marker_radius_mm=sensor.markers.radius_mm if markers and sensor.markers else 0.0,
         )
         self._points_mm, self._pitch_mm = marker_grid_mm(sensor), marker_pitch_mm(sensor)
-        self._markers_drawn = draws
+        self._markers_drawn = markers
         self._drawn: Imprint | None = None
 
     def press(self, mesh: Mesh, pose_gel_object: FloatArray, load: GelLoad) -> Imprint:
@@ -226,8 +340,11 @@ class TactilePad:
         if imprint.indentation_mm <= 0 or not (moves or self._markers_drawn):
             return imprint
         field = self._field(imprint)
-        share = (load.marker_pitch_mm or self._pitch_mm) ** 2 / self._pitch_mm**2
-        motion = field.motion(share * shear, share * load.turn_about_mm2(field.center_mm))
+        # Of the load, what acts in the window, summed over markers as dense as the sensor's.
+        share = (load.marker_pitch_mm or self._pitch_mm) ** 2 / self._pitch_mm**2 * imprint.share
+        is_part = imprint.share < 1.0 and load.center_mm is not None
+        center_mm = load.center_mm if is_part and load.center_mm else field.center_mm
+        motion = field.motion(share * shear, share * load.turn_about_mm2(center_mm))
         if moves:
             pose = np.asarray(pose_gel_object, dtype=np.float64)
             imprint = self.indenter.indent(mesh, motion.moved(pose), load)

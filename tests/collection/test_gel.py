@@ -17,10 +17,10 @@ from tacgen.physics.margins import dome_patch, torsion_arm_mm
 from tacgen.sensor.description import load_sensor
 from tacgen.sensor.tactile_pad import Indenter
 
-SENSOR = load_sensor("gelsight")
+GEL_MM = np.array([24.0, 19.0])
+SENSOR = replace(load_sensor("gelsight"), gel_size_mm=tuple(GEL_MM))
 DOME_MM = 30.0
 K_N = 5.135
-HALF_WINDOW_MM = np.array([640, 480]) * 0.0295 / 2
 SOLIDS = {
     "flat": trimesh.creation.box((60.0, 60.0, 100.0)),
     "cylinder": trimesh.creation.cylinder(radius=25.0, height=100.0, sections=720),
@@ -60,16 +60,16 @@ def from_the_left(height_mm):
     return pose
 
 
-def integrated(name, force_n, k_n=K_N, half_window_mm=HALF_WINDOW_MM):
-    """Points and pressure shares of the paraboloid foundation, cut at the window, on a fine grid.
+def integrated(name, force_n, k_n=K_N, half_gel_mm=GEL_MM / 2):
+    """Points and pressure shares of the paraboloid foundation, cut at the gel's rim, on a grid.
 
     Bisects the depth to V = k_n F; independent of the gap map and of its solver.
     """
-    along = [np.linspace(-h, h, 401) * (1 - 1 / 401) for h in half_window_mm]
+    along = [np.linspace(-h, h, 401) * (1 - 1 / 401) for h in half_gel_mm]
     x, y = np.meshgrid(*along)
     round_x, round_y = (1 / DOME_MM + one for one in CURVATURE[name])
     gap = (round_x * x**2 + round_y * y**2) / 2
-    area = 4 * np.prod(half_window_mm) / x.size
+    area = 4 * np.prod(half_gel_mm) / x.size
     low, high = 0.0, 10.0
     for _ in range(30):
         middle = (low + high) / 2
@@ -156,7 +156,7 @@ def test_a_flat_face_on_a_flat_gel_presses_evenly():
 @pytest.mark.parametrize("force_n", [2.0, 10.0, 30.0])
 @pytest.mark.parametrize("name", SOLIDS)
 def test_the_limits_are_those_of_the_integrated_patch(name, force_n):
-    """To the edge of the window, which a flat face reaches at 13 N."""
+    """To the rim of the gel, beyond the window, whose edge a flat face reaches at 13 N."""
     x, y, share = integrated(name, force_n)
     patch = patch_of_gel(name, force_n)
     for friction_share in (0.0, 0.3, 0.6, 0.9):

@@ -14,6 +14,7 @@ from tacgen.collection.recipe import Contact, ObjectEntry, Recipe, load_recipe
 from tacgen.core.errors import RecipeError, TableError
 from tacgen.core.resources import packaged
 from tacgen.sensor.gel_response import gel_loads
+from tacgen.sensor.tactile_pad import Imprint
 
 
 def test_a_shipped_contact_law_is_found_from_anywhere(tmp_path, monkeypatch):
@@ -78,3 +79,39 @@ def test_frames_of_a_steady_hold_share_their_picture(monkeypatch):
         differs = np.abs(exact.astype(int) - clean[k])
         assert differs.max() <= 1
         assert differs.mean() < 0.01
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
+def test_a_grip_at_the_pads_rim_shows_no_other_surface(engine):
+    """The spatula's handle is 10.5 mm below the pads' middle there, beside the window.
+
+    What is pressed is not the part of it in the window, which is 3 mm further away.
+    """
+    if engine == "pybullet":
+        pytest.importorskip("pybullet")
+    grid = {"force_n": 4.0, "x_mm": 0.0, "y_mm": -140.0, "z_mm": [14.0, 22.0]}
+    sections = {"objects": ["spatula"], "grid": grid, "physics": {"engine": engine}}
+    recipe = Recipe.model_validate({"name": "rim", "robot": {"tactile_pads": "both"}, **sections})
+    with GraspPipeline(recipe) as pipeline:
+        shown, beside = (pipeline.sample(planned).pads for planned in plan_recipe(recipe))
+        at_rest = tactile_pad(recipe).image(Imprint())
+    for pad in ("left", "right"):
+        assert [int(v[0]) for v in validity_of(shown[pad])] == [0, 0, 0]
+        assert shown[pad].indentation_mm[0] > 0.3
+        assert [int(v[0]) for v in validity_of(beside[pad])] == [0, 0, 1]
+        assert beside[pad].indentation_mm[0] == 0.0
+        assert beside[pad].force_normal_n[0] == pytest.approx(4.0, rel=0.03)
+        assert abs(beside[pad].rgb[0].astype(int) - at_rest).mean() < 3.0  # the camera's noise
+
+
+def validity_of(pad):
+    return pad.saturated, pad.no_contact, pad.outside_window
+
+
+def test_the_gel_of_a_recipe_is_its_grippers_pad():
+    """Along the image: the pads of wsg50 are 24 mm wide and 19 mm high."""
+    recipe = Recipe.model_validate({"name": "r", "objects": ["cup"]})
+    assert tactile_pad(recipe).sensor.gel_size_mm == (24.0, 19.0)
+    digit = {"name": "r", "objects": ["cup"], "sensor": "digit", "robot": {"name": "franka_digit"}}
+    assert tactile_pad(Recipe.model_validate(digit)).sensor.gel_size_mm == (16.0, 19.0)

@@ -310,3 +310,23 @@ def test_thousands_of_unknown_keys_are_counted_not_described(tmp_path):
     assert len(lines) == 51
     assert lines[0].startswith(f"{path}:4: key0 is not a known key")
     assert lines[-1].endswith("3950 further problems")
+
+
+@pytest.mark.parametrize("name", ["mine", "digit"])
+def test_markers_of_a_sensor_without_any_are_refused(folder, name):
+    text = f"objects: [can]\noptics: {{markers: true}}\nsensor: {name}\n"
+    (folder / "r.yaml").write_text(f"name: r\n{text}")
+    words = rf"r.yaml:\d+: optics.markers = true: the sensor {name} has no markers to draw"
+    with pytest.raises(RecipeError, match=words):
+        load_recipe(folder / "r.yaml")
+    (folder / "r.yaml").write_text(f"name: r\n{text.replace('true', 'false')}")
+    assert not load_recipe(folder / "r.yaml").optics.markers
+
+
+def test_markers_of_a_rigs_sensor_without_any_are_refused(tmp_path):
+    from tacgen.rig import load_rig_recipe
+
+    path = tmp_path / "rig.yaml"
+    path.write_text("name: r\nsensor: digit\nimages: {markers: true}\n")
+    with pytest.raises(RecipeError, match="images.markers = true: the sensor digit has no markers"):
+        load_rig_recipe(path)

@@ -51,6 +51,12 @@ def reference(tmp_path_factory):
     return folder / "out", result
 
 
+def test_a_recipe_and_a_folder_may_be_given_by_their_names(world, tmp_path):
+    collect(str(world), str(tmp_path / "named"), shards=[0], progress=False)
+    collect(load_recipe(world), tmp_path / "out", shards=[0], progress=False)
+    assert hashes(tmp_path / "named") == hashes(tmp_path / "out") != {}
+
+
 def test_a_grasp_that_is_made_again_counts_once():
     result = Collected(found=())
     small = Thumbnails("", [], [])

@@ -116,7 +116,12 @@ def test_whole_grains_give_the_same_or_the_limit(gap, volume_mm3, deepest_mm):
     grain = 2.0**-19
     grains = np.floor((gap - gap.min()) / grain + 0.5).astype(np.int32)
     exact = solve_indentation(grains * grain, volume_mm3, AREA)
-    found = solve_grains(grains, volume_mm3 / AREA / grain, deepest_mm / grain) * grain
+    found = (
+        solve_grains(
+            grains, volume_mm3 / AREA / grain, deepest_mm / grain, np.empty(0, np.int32), 1.0
+        )
+        * grain
+    )
     assert found == pytest.approx(min(exact, deepest_mm), abs=1e-9)
 
 

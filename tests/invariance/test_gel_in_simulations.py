@@ -204,9 +204,9 @@ def test_a_pull_beside_the_gels_middle_does_not_turn_the_object():
     simulation = Mujoco(at_mm=(5.0, 0.0), pull_n=(0.0, 1.0))
     sensor = simulation.attach(Sensor("gelsight_mini", contact=ContactLaw.default()))
     simulation.step(20)
-    *_, force_n, torsion_n_mm = sensor._attached().contact()
-    assert force_n[1] > 0.5
-    assert abs(torsion_n_mm) < 0.02 * 5.0 * force_n[1]
+    found = sensor._attached().contact()
+    assert found.force_n[1] > 0.5
+    assert abs(found.torsion_n_mm) < 0.02 * 5.0 * found.force_n[1]
 
 
 def test_a_mesh_is_made_ready_once():

@@ -19,6 +19,7 @@ from tacgen.cli import app
 from tacgen.contact import gel_map_mm
 from tacgen.contact.law import ContactLaw, FittedEffect
 from tacgen.core.errors import SensorError, TableError
+from tacgen.core.images import encode_png
 from tacgen.core.records import ContactFrame, Estimate
 from tacgen.core.safe_io import read_rgb
 from tacgen.optics import save_table
@@ -229,6 +230,24 @@ def imprint(volume_mm3, motion_mm):
     none = np.zeros(3)
     dots = None if np.isnan(motion_mm).any() else np.zeros((63, 2))
     return Reading(none, none, none > 0, none, 0.3, volume_mm3, dots, none, 0.1, motion_mm, "")
+
+
+def test_a_picture_may_be_a_file(tmp_path):
+    sensor = tacgen.Sensor("gelsight_mini")
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=4.0)
+    rgb = sensor.render(ball, np.eye(4), 3.0).rgb
+    places = [tmp_path / "press.png", tmp_path / "rest.png"]
+    for path, image in zip(places, (rgb, sensor.at_rest_rgb()), strict=True):
+        path.write_bytes(encode_png(image))
+    expected = read_image(rgb, sensor, sensor.at_rest_rgb())
+    for kind in (str, lambda path: path):
+        found = read_image(kind(places[0]), "gelsight_mini", kind(places[1]))
+        np.testing.assert_array_equal(found.rgb, rgb)
+        np.testing.assert_array_equal(found.force_n, expected.force_n)
+    assert expected.status == "ok"
+    assert read_image(places[1], sensor).status == "no_contact"
+    with pytest.raises(SensorError, match=r"nowhere\.png"):
+        read_image(str(tmp_path / "nowhere.png"), sensor)
 
 
 @pytest.mark.slow

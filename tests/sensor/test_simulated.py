@@ -1,11 +1,15 @@
 """The sensor for one's own script: closed forms, and the same frame from a running simulation."""
 
+import warnings
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 
 import tacgen
-from tacgen.core.errors import ContactError, SensorError
+import tacgen.contact
+from tacgen.core.errors import ContactError, SensorError, TableError
 from tacgen.sensor.simulated import Sensor, as_mesh
 
 BALL = trimesh.creation.icosphere(subdivisions=5, radius=4.0)
@@ -69,6 +73,138 @@ def test_a_force_that_cannot_be_is_refused(sensor, force_n):
         sensor.render(BALL, np.eye(4), force_n=force_n)
 
 
+def turned(**changes):
+    """A pose turned by 0.3 rad, with some of it changed."""
+    pose = trimesh.transformations.rotation_matrix(0.3, (0.2, 0.3, 1.0))
+    for change in changes.values():
+        pose = change(pose)
+    return pose
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda p: p @ np.diag([2.0, 2.0, 2.0, 1.0]), "its axes are 2, 2, 2 long, not 1; scale"),
+        (lambda p: p @ np.diag([1.01, 1.0, 1.0, 1.0]), "its axes are 1.01, 1, 1 long"),
+        (lambda p: p @ np.diag([1.0, 1.0, -1.0, 1.0]), "it mirrors"),
+        (lambda p: np.zeros((4, 4)), "the last row 0, 0, 0, 0"),
+        (lambda p: p @ np.diag([0.0, 0.0, 0.0, 1.0]), "its axes are 0, 0, 0 long"),
+        (lambda p: p + np.outer(np.eye(4)[0], np.eye(4)[1]) * 0.01, "is no rotation"),
+        (lambda p: (p + np.outer(np.eye(4)[0], np.eye(4)[3])).T, "was it transposed"),
+        (lambda p: p[:3], "is not \\(4, 4\\) finite numbers"),
+    ],
+    ids=["scaled", "stretched", "mirrored", "zero", "no rotation", "sheared", "transposed", "3×4"],
+)
+def test_a_pose_that_is_none_is_refused_wherever_it_enters(sensor, change, words):
+    pose = turned(change=change)
+    with pytest.raises(ContactError, match=f"pose_gel_object .*{words}"):
+        sensor.render(BALL, pose)
+    with pytest.raises(ContactError, match=words):
+        tacgen.contact.gap_map(BALL.vertices, BALL.faces, pose, sensor.description)
+    with pytest.raises(SensorError, match=f"pose_link_gel .*{words}"):
+        sensor.attach_pybullet(0, pose_link_gel=pose)
+    with pytest.raises(SensorError, match=f"pose_body_gel .*{words}"):
+        sensor.attach_mujoco(None, None, 0, pose_body_gel=pose)
+
+
+def test_a_pose_of_rounded_numbers_is_a_pose(sensor):
+    rounded = np.round(turned().astype(np.float32), 4)
+    assert sensor.render(BALL, rounded, 2.0).status == "ok"
+
+
+def test_a_translation_in_metres_is_warned_of(sensor):
+    moved = np.eye(4)
+    moved[:3, 3] = 0.003, -0.002, 0.01
+    with pytest.warns(UserWarning, match="moves by 0.01 mm: is its translation in metres"):
+        sensor.render(BALL, moved)
+    moved[:3, 3] = 3.0, -2.0, 1e-9
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        sensor.render(BALL, moved)
+
+
+def test_a_mesh_in_metres_is_warned_of_or_refused(sensor):
+    small = trimesh.creation.icosphere(subdivisions=3, radius=0.004)
+    with (
+        pytest.warns(UserWarning, match="0.008 mm large: is it in metres"),
+        pytest.raises(ContactError, match="no pixel of 0.058 mm .* give mesh and pose in mm"),
+    ):
+        sensor.render(small, np.eye(4))  # the gel's middle is a corner of four pixels
+    with pytest.warns(UserWarning, match="0.3 mm large: is it in metres"):
+        sensor.render(trimesh.creation.box((0.3, 0.1, 0.1)), np.eye(4))
+
+
+@pytest.mark.parametrize("x_mm", [20.0, 100.0])
+def test_an_object_beside_the_gel_is_refused(sensor, x_mm):
+    moved = np.eye(4)
+    moved[0, 3] = x_mm
+    with pytest.raises(
+        ContactError, match=rf"over the gel of 28.6 × 23.9 mm: it is at x {x_mm - 4:g} to"
+    ):
+        sensor.render(BALL, moved)
+    assert sensor.render(BALL, moved, force_n=0.0).status == "no_contact"
+
+
+def test_a_frame_says_what_its_image_shows(sensor):
+    """Ball presses: in the window, across its edge (9.28 mm), pressed through, not at all."""
+
+    def frame(force_n, x_mm=0.0):
+        moved = np.eye(4)
+        moved[0, 3] = x_mm
+        return sensor.render(BALL, moved, force_n, (0.5, -0.2))
+
+    shown = frame(5.0)
+    assert (shown.status, shown.saturated) == ("ok", False)
+    assert shown.force_n.tolist() == [0.5, -0.2, 5.0]
+    half = frame(5.0, 9.28)
+    assert (half.status, half.saturated) == ("outside_window", False)
+    assert half.force_n[2] == pytest.approx(2.5, rel=0.05)
+    assert half.volume_mm3 == pytest.approx(5.135 * half.force_n[2], rel=0.01)
+    np.testing.assert_allclose(half.force_n / half.force_n[2], shown.force_n / 5.0)
+    beside = frame(5.0, 13.0)
+    assert beside.status == "outside_window"
+    assert not beside.contact_mask.any()
+    assert beside.force_n.tolist() == [0.0, 0.0, 0.0]
+    assert np.array_equal(beside.rgb, sensor.at_rest_rgb())
+    through = frame(500.0)
+    assert through.saturated
+    # A cap as deep as the ball's radius: its half, 2/3 π R³.
+    assert through.volume_mm3 == pytest.approx(2 / 3 * np.pi * 4.0**3, rel=0.01)
+    none = frame(0.0)
+    assert (none.status, none.saturated) == ("no_contact", False)
+
+
+def test_shear_of_what_the_window_shows_moves_its_markers():
+    sensor = Sensor("gelsight_mini", markers=True)
+    edge = np.eye(4)
+    edge[0, 3] = 160 * sensor.description.mm_per_px
+    still, pulled = (sensor.render(BALL, edge, 3.0, (x_n, 0.0)) for x_n in (0.0, 1.0))
+    motion_mm = (pulled.markers_px - still.markers_px) * sensor.description.mm_per_px
+    assert motion_mm[:, 0].sum() == pytest.approx(pulled.force_n[0], rel=0.05)
+    assert pulled.force_n[0] == pytest.approx(0.5, abs=0.1)
+
+
+def test_markers_of_a_sensor_without_any_are_refused():
+    with pytest.raises(SensorError, match="digit has no markers to draw; leave them out, or give"):
+        Sensor("digit", markers=True)
+    assert Sensor("digit").render(BALL, np.eye(4)).markers_px is None
+
+
+def test_a_table_of_another_dome_is_refused(tmp_path):
+    """At rest its picture would be another: of a flat gel with the shading of a dome."""
+    from tacgen.optics.table import ContactLight, save_table
+
+    own = Sensor("gelsight")
+    flat = replace(
+        own.table,
+        response=np.zeros((2, 3, 2, 2, 3), np.float32),
+        contact=ContactLight(np.zeros((2, 2, 3, 3), np.float32), 0.3, 0.0),
+    )
+    save_table(flat, tmp_path / "flat.npz")
+    with pytest.raises(TableError, match="dome of 0 mm .*gelsight of 30.*`dome_radius_mm: 0`"):
+        Sensor("gelsight", table=tmp_path / "flat.npz")
+
+
 def test_what_is_no_mesh_is_refused(sensor):
     with pytest.raises(ContactError, match=r"trimesh\.Trimesh or \(vertices_mm, faces\), not str"):
         sensor.render("ball.stl", np.eye(4))
@@ -120,8 +256,11 @@ def test_a_ball_at_rest_in_pybullet_is_a_ball_pressed_by_its_weight(bullet):
     frame = sensor.read()
     assert frame.force_n[2] == pytest.approx(0.3 * GRAVITY_M_S2, rel=0.01)
     assert frame.volume_mm3 == pytest.approx(5.135 * frame.force_n[2], rel=0.01)
-    mesh, pose, force, torsion = sensor._attached().contact()
-    again = sensor.render(mesh, pose, force[2], force[:2], torsion_n_mm=torsion)
+    found = sensor._attached().contact()
+    again = sensor.render(
+        *(found.mesh, found.pose_gel_object, found.force_n[2], found.force_n[:2]),
+        torsion_n_mm=found.torsion_n_mm,
+    )
     assert np.array_equal(frame.rgb, again.rgb)
     assert np.array_equal(frame.depth_mm, again.depth_mm)
 
@@ -258,8 +397,11 @@ def test_the_same_ball_in_mujoco():
     frame = sensor.read()
     assert frame.force_n[2] == pytest.approx(0.3 * GRAVITY_M_S2, rel=0.01)
     assert frame.volume_mm3 == pytest.approx(5.135 * frame.force_n[2], rel=0.01)
-    mesh, pose, force, torsion = sensor._attached().contact()
-    again = sensor.render(mesh, pose, force[2], force[:2], torsion_n_mm=torsion)
+    found = sensor._attached().contact()
+    again = sensor.render(
+        *(found.mesh, found.pose_gel_object, found.force_n[2], found.force_n[:2]),
+        torsion_n_mm=found.torsion_n_mm,
+    )
     assert np.array_equal(frame.rgb, again.rgb)
     with pytest.raises(SensorError, match="it has world, pad, ball"):
         sensor.attach_mujoco(model, data, "finger")

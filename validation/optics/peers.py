@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.records import Mesh
+from tacgen.core.records import Mesh, Sensor
 from tacgen.objects import load_object
 from tacgen.optics import load_table
 from tacgen.sensor.description import load_sensor
@@ -60,9 +60,15 @@ def presses() -> Iterator[Press]:
         yield Press(surface, pose)
 
 
+def _sensor(name: str) -> Sensor:
+    """A sensor whose gel ends where its window does, as the peers' do."""
+    sensor = load_sensor(name)
+    return replace(sensor, gel_size_mm=(sensor.mm_per_px, sensor.mm_per_px))
+
+
 def tacgen_ms(sensor_name: str, *, shadows: bool, from_mesh: bool, repeats: int) -> list[float]:
     """Times of tacgen's images of the presses."""
-    sensor = load_sensor(sensor_name)
+    sensor = _sensor(sensor_name)
     pad = TactilePad(sensor, load_table(sensor.table), shadows=shadows)
     times = []
     for press in presses():
@@ -80,7 +86,7 @@ def _image_of_a_copy(pad: TactilePad, imprint: Imprint) -> object:
 
 def write_presses(sensor_name: str, path: Path) -> None:
     """The indentations (n, H, W), mm, and the pressed meshes in the gel frame, mm."""
-    sensor = load_sensor(sensor_name)
+    sensor = _sensor(sensor_name)
     pad = TactilePad(sensor, load_table(sensor.table))
     arrays: dict[str, Any] = {"mm_per_px": np.array(sensor.mm_per_px)}
     depths = []

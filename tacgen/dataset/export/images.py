@@ -9,6 +9,7 @@ from tacgen.dataset.export import real_grasps
 from tacgen.dataset.export.real_grasps import grasp_id
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import frame_columns
+from tacgen.dataset.schema import STATE_FIELDS, VALIDITY_FIELDS
 
 
 def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
@@ -23,7 +24,8 @@ def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
     for index in map(int, grasps["index"]):
         sample = dataset.read(index)
         pad, name = sample.pads[dataset.pads[0]], grasp_id(index)
-        forces = {"time_s": dataset.times_s(index), **frame_columns(pad)}
+        figures = frame_columns(pad, (*STATE_FIELDS, *VALIDITY_FIELDS))
+        forces = {"time_s": dataset.times_s(index), **figures}
         pd.DataFrame(forces).to_csv(folder / "contact" / f"{name}.csv", index=False)
         if pad.depth_mm is not None:
             (folder / "depth").mkdir(exist_ok=True)

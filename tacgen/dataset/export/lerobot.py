@@ -20,7 +20,7 @@ from tacgen.core.images import encode_png
 from tacgen.core.optional_dependencies import require_extra
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample, frame_columns
-from tacgen.dataset.schema import ACTION, SPLITS, STATE_FIELDS
+from tacgen.dataset.schema import ACTION, SPLITS, STATE_FIELDS, VALIDITY
 
 require_extra("parquet", "--format lerobot needs", DatasetError)
 import pyarrow as pa  # noqa: E402
@@ -36,6 +36,7 @@ _GREY = np.arange(256) / 255.0
 _SCALARS = {
     "label": "int64",
     "time_s": "float32",
+    **dict.fromkeys(VALIDITY, "bool"),
     "next.done": "bool",
     "next.success": "bool",
     "timestamp": "float32",
@@ -211,6 +212,7 @@ class _Export:
             "action": np.tile(asked, (n_frames, 1)),
             "label": np.full(n_frames, sample.label),
             "time_s": self.dataset.times_s(sample.config.index),
+            **{name: np.any([getattr(pad, name) for _, pad in pads], axis=0) for name in VALIDITY},
             "next.done": last,
             "next.success": last & (sample.label == 1),
         }
