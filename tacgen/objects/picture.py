@@ -13,7 +13,7 @@ from tacgen.objects.shading import depth_view, shaded_view, view_axes
 
 WINDOW_PX, MM_PER_PX = (480, 640), 0.0295  # the window of the default sensor
 VIEWS = (("from the front", 35.0, 25.0), ("as the pad comes", 0.0, 0.0), ("from above", 0.0, 89.9))
-TOPPLES = ("as its file has it, from which it topples", 35.0, 10.0)
+TOPPLES = ("as in its file: it topples", 35.0, 10.0)
 
 
 def write_picture(obj: GraspObject, path: Path, toppled_from: Mesh | None = None) -> None:

@@ -1,6 +1,7 @@
 """Meshes of several bodies: each turned outward by itself, cavities kept; slivers stay closed."""
 
 import os
+import time
 
 import numpy as np
 import pytest
@@ -240,3 +241,14 @@ def test_a_link_to_a_mesh_is_read():
     os.symlink("nowhere.stl", "broken.stl")
     with pytest.raises(ObjectError, match="no such file"):
         import_surface("broken.stl")
+
+
+def test_a_thousand_bodies_are_read_in_seconds():
+    start = time.process_time()
+    places = np.indices((10, 10, 10)).reshape(3, -1).T * 6.0
+    solid = box((2.0, 2.0, 2.0))
+    points = (solid.vertices[None] + places[:, None]).reshape(-1, 3)
+    faces = (solid.faces[None] + 8 * np.arange(len(places))[:, None, None]).reshape(-1, 3)
+    surface, _ = read(trimesh.Trimesh(points, faces, process=False), name="many.ply")
+    assert volume_mm3(surface) == pytest.approx(8000.0, rel=1e-5)
+    assert time.process_time() - start < 5.0
