@@ -99,6 +99,12 @@ class Predictor:
             raise LearningError(msg)
         for frame in frames:
             _check_size(frame, self.spec, "an image")
+            if np.ptp(self._reference, axis=-1).any() and not np.ptp(frame, axis=-1).any():
+                msg = (
+                    "an image is grey, its three channels are equal, and the network was trained "
+                    "on colour: give the pictures as the sensor takes them"
+                )
+                raise LearningError(msg)
         if self.spec.kind == "sequence" and len(frames) < 2:
             msg = "the run is of a sequence network: give two or more frames of each grasp"
             raise LearningError(msg)
@@ -123,11 +129,19 @@ def predict_files(predictor: Predictor, paths: Sequence[Path]) -> list[dict[str,
     else:
         listed = dict(groups)
         groups = [(one, [one]) for path in paths for one in listed.get(path, [path])]
-    images = [np.stack([read_rgb(path, LearningError) for path in files]) for _, files in groups]
+    images = [
+        np.stack([_read_checked(path, predictor.spec) for path in files]) for _, files in groups
+    ]
     return [
         {"images": str(path), "probability": float(p)}
         for (path, _), p in zip(groups, predictor.predict(images), strict=True)
     ]
+
+
+def _read_checked(path: Path, spec: InputSpec) -> NDArray[np.uint8]:
+    image = read_rgb(path, LearningError)
+    _check_size(image, spec, str(path))
+    return image
 
 
 def _images_of(folder: Path, *, sequence: bool = True) -> list[Path]:

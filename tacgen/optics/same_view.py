@@ -11,6 +11,9 @@ from tacgen.optics.drift import gain_and_offset
 
 MUCH_BETTER = 0.5  # of the difference as it is: what is proven, where lamps and contacts differ too
 CLEARLY_GREY = 0.15  # differences below it show nothing
+DRIFT_GREY = 3.0
+"""Nor do those of the light below this where a picture may be turned: a lamp that drifts by 4 grey
+levels at one side makes 2 of it, in either picture."""
 VIEW_PX = 40  # width of the pictures whose light is compared: colours show at any size
 LEAST_SHIFT = 0.03  # of the width: a camera with play moves by 0.02 between real presses
 ZOOMS = (0.8, 0.85, 0.9, 0.95, 1.05, 1.1, 1.15, 1.2)
@@ -37,6 +40,7 @@ BEYOND_DOUBT_SIGMAS = 20.0  # no other view leaves so much: enlarged by 4 %, 13 
 TEXTURE_ZOOMS = tuple(
     float(zoom) for zoom in np.exp(np.arange(-0.22, 0.225, 0.01)) if abs(zoom - 1) > 0.025
 )
+ZOOM_HIGHER = 1.2  # than without: enlarged by 2 % a shifted picture fits nearly as well
 LIGHT_WORSE = 1.1
 """A gel can slide under the camera, its texture with it; the light, which then differs by more than
 so many times what it did, does not."""
@@ -76,7 +80,9 @@ def other_view(image: FloatArray | NDArray[np.uint8], rest: FloatArray | NDArray
     found = {
         what: apart_grey(small, np.flip(gel, axes)) / plain
         for what, axes in REORDERED.items()
-        if axes == (2,) or not aligned.is_same
+        # Of light that is nearly the same that way, another difference shows nothing.
+        if (axes == (2,) or (not aligned.is_same and plain > DRIFT_GREY))
+        and apart_grey(np.flip(gel, axes), gel) > MUCH_BETTER * plain
     }
     if not aligned.is_same:
         for zoom in ZOOMS:
@@ -88,8 +94,8 @@ def other_view(image: FloatArray | NDArray[np.uint8], rest: FloatArray | NDArray
             found[f"it is {zoom:g} times as large"] = apart_grey(*pair) / as_is
         shift = _shift_px(image, rest)
         found[f"it is shifted by {shift} px"] = _light_at_shift(image, rest, shift)
-    what = min(found, key=lambda name: found[name])
-    return what if found[what] < MUCH_BETTER else ""
+    what = min(found, key=lambda name: found[name], default="")
+    return what if what and found[what] < MUCH_BETTER else ""
 
 
 def alignment(
@@ -107,17 +113,19 @@ def alignment(
         return Alignment(as_is)
     scale = image.shape[1] / seen.shape[1]
     shift = round(place[0] * scale), round(place[1] * scale)
-    found = {f"it is shifted by {shift} px": top}
-    if _light_at_shift(image, rest, shift) > LIGHT_WORSE:
-        found = {}
+    shifted = f"it is shifted by {shift} px"
+    found = {shifted: top}
     for what, axes in REORDERED.items():
         if axes != (2,):
             found[what] = _peak(spectrum, _spectrum(np.flip(gel, axes)), seen.shape[:2])[1]
     for zoom in TEXTURE_ZOOMS:
         larger = _spectrum(_zoomed(gel, zoom))
-        found[f"it is {zoom:.2f} times as large"] = _peak(spectrum, larger, seen.shape[:2])[1]
+        height = _peak(spectrum, larger, seen.shape[:2])[1]
+        found[f"it is {zoom:.2f} times as large"] = height / ZOOM_HIGHER
     what = max(found, key=lambda name: found[name])
     is_clear = found[what] >= max(SURE_SIGMAS, MUCH_HIGHER * as_is)
+    if what == shifted:
+        is_clear &= _light_at_shift(image, rest, shift) <= LIGHT_WORSE
     return Alignment(as_is, what if is_clear else "")
 
 

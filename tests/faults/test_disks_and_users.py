@@ -71,7 +71,9 @@ def test_a_full_disk_ends_an_export_with_one_message_and_nothing_left(layout, tm
 def test_a_full_disk_ends_robomimics_export_as_a_command(tmp_path):
     """HDF5 would end the whole process when it closes the file, which no test survives."""
     data = collect_toy(tmp_path / "data", make_spec(n_grasps=20)).root
-    command = f"ulimit -f 4; exec {sys.executable} -Bm tacgen export data --format robomimic --out e"
+    command = (
+        f"ulimit -f 4; exec {sys.executable} -Bm tacgen export data --format robomimic --out e"
+    )
     run = subprocess.run(
         ["bash", "-c", command], cwd=data.parent, capture_output=True, text=True, check=False
     )
