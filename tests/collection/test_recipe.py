@@ -310,3 +310,16 @@ def test_thousands_of_unknown_keys_are_counted_not_described(tmp_path):
     assert len(lines) == 51
     assert lines[0].startswith(f"{path}:4: key0 is not a known key")
     assert lines[-1].endswith("3950 further problems")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("pads: both\n", r"pads is not a known key \(did you mean 'robot.tactile_pads'\?\)"),
+        ("robot: {pads: both}\n", r"robot.pads is not a known key \(did you mean 'tactile_pads'"),
+    ],
+)
+def test_a_part_of_a_key_hints_the_key(tmp_path, text, words):
+    (tmp_path / "r.yaml").write_text(f"name: a\nobjects: [can]\n{text}")
+    with pytest.raises(RecipeError, match=words):
+        load_recipe(tmp_path / "r.yaml")
