@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 
 from tacgen.core.arrays import FloatArray
 from tacgen.optics.drift import gain_and_offset
@@ -37,6 +38,7 @@ real sets of five sensors (but for some of 160 px in which the camera had moved)
 other sensors stay below 8 at any place, turned, mirrored or enlarged."""
 MUCH_HIGHER = 2.0  # than the correlation as the pictures lie
 BEYOND_DOUBT_SIGMAS = 20.0  # no other view leaves so much: enlarged by 4 %, 13 of 72 are left
+LARGEST_CLOSE_ZOOM = 0.07  # enlarged by more, two textures do not lie on each other
 TEXTURE_ZOOMS = tuple(
     float(zoom) for zoom in np.exp(np.arange(-0.22, 0.225, 0.01)) if abs(zoom - 1) > 0.025
 )
@@ -118,11 +120,16 @@ def alignment(
     for what, axes in REORDERED.items():
         if axes != (2,):
             found[what] = _peak(spectrum, _spectrum(np.flip(gel, axes)), seen.shape[:2])[1]
+    enlarged = {}
     for zoom in TEXTURE_ZOOMS:
+        if as_is >= SURE_SIGMAS and abs(zoom - 1) > LARGEST_CLOSE_ZOOM:
+            continue
         larger = _spectrum(_zoomed(gel, zoom))
-        height = _peak(spectrum, larger, seen.shape[:2])[1]
-        found[f"it is {zoom:.2f} times as large"] = height / ZOOM_HIGHER
+        enlarged[f"it is {zoom:.2f} times as large"] = _peak(spectrum, larger, seen.shape[:2])[1]
     what = max(found, key=lambda name: found[name])
+    most = max(enlarged, key=lambda name: enlarged[name])
+    if enlarged[most] > ZOOM_HIGHER * found[what]:
+        found, what = enlarged, most
     is_clear = found[what] >= max(SURE_SIGMAS, MUCH_HIGHER * as_is)
     if what == shifted:
         is_clear &= _light_at_shift(image, rest, shift) <= LIGHT_WORSE
@@ -146,7 +153,7 @@ def _texture(image: FloatArray | NDArray[np.uint8]) -> FloatArray:
 def _spectrum(texture: FloatArray) -> NDArray[np.complexfloating]:
     """Of each channel (h, w', 3); edges are faded out."""
     window = cv2.createHanningWindow(texture.shape[1::-1], cv2.CV_32F)
-    return np.asarray(np.fft.rfft2(texture * window[..., None], axes=(0, 1)))
+    return np.asarray(fft.rfft2(texture * window[..., None], axes=(0, 1)))
 
 
 def _peak(
@@ -154,7 +161,7 @@ def _peak(
 ) -> tuple[float, float, tuple[int, int]]:
     """Height of the correlation as the pictures lie, its highest and where (x, y) that is."""
     height, width = shape
-    together = np.fft.irfft2((one * np.conj(other)).sum(axis=2), s=shape)
+    together = fft.irfft2((one * np.conj(other)).sum(axis=2), s=shape)
     scatter = float(together.std())
     if not scatter > 0:
         return 0.0, 0.0, (0, 0)
