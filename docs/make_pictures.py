@@ -1,8 +1,13 @@
-"""Pictures of the documentation, made by tacgen itself: docs/figures/*.png, each under 100 kB."""
+"""Pictures of the documentation, made by tacgen itself: docs/figures/*.png, each under 100 kB.
+
+``python -m docs.make_pictures FOLDER`` draws held-out presses of real sensors alone; the folder is
+``calib`` of the package ``taxim`` 1.4.1.
+"""
 
 from __future__ import annotations
 
 import io
+import sys
 from pathlib import Path
 
 import cv2
@@ -15,6 +20,10 @@ from matplotlib.patches import Circle, Rectangle
 from PIL import Image
 
 import tacgen
+from scripts.make_default_tables import REAL
+from scripts.make_default_tables import real_presses as real_presses_of
+from tacgen.calibrate.lookup.report import _pictures
+from tacgen.calibrate.lookup.table_fit import calibrate
 from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe
@@ -26,6 +35,7 @@ from tacgen.learning.training_recipe import Augmentation
 from tacgen.objects import load_object
 from tacgen.objects.shading import shaded_view
 from tacgen.optics.deform import deform
+from tacgen.presses.screening import usable_presses
 
 FIGURES = Path(__file__).parent / "figures"
 MAX_KB = 100
@@ -36,6 +46,19 @@ def main() -> None:
     FIGURES.mkdir(exist_ok=True)
     for draw in (grasp, objects, press, stages, frames, reading, augmentation):
         print(save(draw(), FIGURES / f"{draw.__name__}.png"))  # noqa: T201
+
+
+def real_presses(calib: Path) -> str:
+    """Held-out presses of real sensors, the rendered ones, and four times the difference."""
+    rows = []
+    for name in REAL:
+        presses = usable_presses(real_presses_of(name, calib))
+        strips = _pictures(presses, calibrate(presses))
+        rows += [strips[k][1] for k in (1, 4)]
+    width = min(row.shape[1] for row in rows)
+    path = FIGURES / "real_presses.webp"
+    Image.fromarray(np.concatenate([row[:, :width] for row in rows])).save(path, quality=80)
+    return f"{path.name}: {path.stat().st_size / 1000:.0f} kB"
 
 
 def grasp() -> Figure:
@@ -203,4 +226,7 @@ def save(figure: Figure, path: Path) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    if sys.argv[1:]:
+        print(real_presses(Path(sys.argv[1])))  # noqa: T201
+    else:
+        main()

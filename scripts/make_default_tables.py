@@ -1,6 +1,8 @@
-"""The tables that ship: ball presses on the virtual sensor, through the calibration of a real one.
+"""The tables that ship, through the calibration of any sensor, beside the sensors' YAML files.
 
-``python -m scripts.make_default_tables`` makes them again, beside the sensors' YAML files.
+``python -m scripts.make_default_tables`` makes those of the virtual sensors again, and
+``python -m scripts.make_default_tables FOLDER`` those of real ones, from the presses in the folder
+``calib`` of the package ``taxim`` 1.4.1 (MIT; Si & Yuan 2022 and T. Schneider).
 """
 
 from __future__ import annotations
@@ -11,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import RegularGridInterpolator
 
-from tacgen.calibrate.lookup.table_fit import fit_lookup
+from tacgen.calibrate.lookup.table_fit import calibrate, fit_lookup
 from tacgen.contact.gel import gel_map_mm, pixel_centers_mm
 from tacgen.contact.indentation import contact_depth
 from tacgen.core.arrays import FloatArray
@@ -21,11 +24,19 @@ from tacgen.core.resources import packaged
 from tacgen.optics.deform import deform
 from tacgen.optics.table import LookupTable, save_table
 from tacgen.optics.virtual_sensor import VirtualSensor
+from tacgen.presses.press_folder import read_presses
 from tacgen.presses.press_images import PressImages
+from tacgen.presses.screening import usable_presses
 from tacgen.sensor.description import load_sensor
 from validation.optics.sampled_table import with_reference
 
-SENSORS = ("gelsight", "gelsight_mini", "digit")
+SENSORS = ("virtual_gelsight", "virtual_gelsight_mini", "digit")
+REAL = {"gelsight": 0.0295}
+"""Sensors with real presses, and their mm/px at 640 × 480: Taxim's, and the Mini's window."""
+PRESS_RADIUS_MM = 2.0
+"""Of the ball: Taxim's of 4 mm. That of the Mini is not stated, and taken to be the same."""
+SMALL = (24, 48, 13)
+"""Nodes of slope, of direction and along the longer side of a table that ships."""
 BALLS_MM = ((2.0, 1.1), (2.5, 0.9), (4.0, 0.9))
 """Radius and depth of the presses; the steepest slope of the first is 63°."""
 PRESSES_PER_BALL = 16
@@ -99,8 +110,95 @@ def make_default_table(sensor: Sensor) -> LookupTable:
     return with_reference(small, rest_mm, virtual.grey_levels(rest_mm))
 
 
-def main(folder: Path) -> None:
-    """Write the tables of the shipped sensors into ``folder``."""
+def real_presses(name: str, calib: Path) -> PressImages:
+    """The presses of a real sensor, at the resolution of the one that ships."""
+    sensor, scale = load_sensor(name, needs_table=False), REAL[name]
+    presses = read_presses(
+        calib / name / "dataPack.npz", mm_per_px=scale, ball_radius_mm=PRESS_RADIUS_MM
+    )
+    by = presses.shape_px[0] // sensor.height_px
+    rows, columns = sensor.shape_px
+
+    def binned(images: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        blocks = images.reshape(-1, rows, by, columns, by, 3)
+        return np.rint(blocks.mean(axis=(2, 4))).astype(np.uint8)
+
+    return replace(
+        presses,
+        images=binned(presses.images),
+        background=binned(presses.background[None])[0],
+        center_px=(presses.center_px + 0.5) / by - 0.5,
+        radius_px=presses.radius_px / by,
+        mm_per_px=scale * by,
+        dome_radius_mm=sensor.dome_radius_mm,
+        sensor=name,
+    )
+
+
+def make_real_table(name: str, calib: Path) -> LookupTable:
+    """The table of the presses of a real sensor, made small."""
+    presses = usable_presses(real_presses(name, calib))
+    table = calibrate(presses).table
+    assert table.response is not None
+    spread = [np.percentile(presses.center_px[:, k], (0, 100)).round() for k in (0, 1)]
+    steepest = np.degrees(table.max_slope_rad)
+    note = (
+        "pressed at columns {:.0f} to {:.0f}, rows {:.0f} to {:.0f}".format(*spread[0], *spread[1])
+        + f", slopes up to {steepest:.0f} degrees; beyond that it extrapolates"
+    )
+    shape = table.response.shape
+    n_slope, n_direction, n_columns = SMALL
+    n_rows = max(2, round(n_columns * shape[2] / shape[3]))
+    sizes = (n_slope, n_direction, n_rows, n_columns)
+    background = np.round(table.background * 16) / 16
+    return replace(
+        table,
+        background=background.astype(np.float32),
+        coefficients=table.coefficients.astype(np.float16).astype(np.float32),
+        response=resampled(table.response, sizes),
+        contact=table.contact
+        and replace(table.contact, change=resampled_places(table.contact.change, sizes[2:])),
+        sensor=name,
+        provenance={
+            **table.provenance,
+            "source": f"{len(presses)} real ball presses of the package taxim 1.4.1",
+            "license": "MIT",
+            "date": "2026-11-27",
+            "command": "python -m scripts.make_default_tables FOLDER",
+            "note": note,
+        },
+    )
+
+
+def resampled(
+    response: NDArray[np.float32], sizes: tuple[int, int, int, int]
+) -> NDArray[np.float32]:
+    """A response at fewer nodes, linear between its own; the directions wrap around."""
+    n_direction = response.shape[1]
+    closed = np.concatenate([response, response[:, :1]], axis=1)
+    axes = [np.arange(n, dtype=float) for n in closed.shape[:4]]
+    at = [np.linspace(0, n - 1, size) for n, size in zip(response.shape, sizes, strict=False)]
+    at[1] = np.arange(sizes[1]) * n_direction / sizes[1]
+    points = np.stack(np.meshgrid(*at, indexing="ij"), axis=-1)
+    return np.asarray(RegularGridInterpolator(axes, closed)(points), np.float32)
+
+
+def resampled_places(change: NDArray[np.float32], sizes: tuple[int, ...]) -> NDArray[np.float32]:
+    """What a contact adds, at fewer nodes of position."""
+    axes = [np.arange(n, dtype=float) for n in change.shape[:2]]
+    at = [np.linspace(0, n - 1, size) for n, size in zip(change.shape, sizes, strict=False)]
+    points = np.stack(np.meshgrid(*at, indexing="ij"), axis=-1)
+    return np.asarray(RegularGridInterpolator(axes, change)(points), np.float32)
+
+
+def main(folder: Path, calib: Path | None) -> None:
+    """Write the tables of the virtual sensors into ``folder``, or those of the real ones."""
+    if calib is not None:
+        for name in REAL:
+            path = folder / f"{name}.table.npz"
+            save_table(make_real_table(name, calib), path)
+            sys.stderr.write(f"{path}\n")
+        return
     for name in SENSORS:
         path = folder / f"{name}.table.npz"
         save_table(make_default_table(load_sensor(name, needs_table=False)), path)
@@ -108,4 +206,5 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(packaged("recipes") / "sensors")
+    given = sys.argv[1:]
+    main(packaged("recipes") / "sensors", Path(given[0]) if given else None)

@@ -1,5 +1,6 @@
 """The documentation: it builds, its commands run, its reference is that of the models."""
 
+import json
 import os
 import re
 import shlex
@@ -70,6 +71,25 @@ def test_every_command_of_the_tutorial_runs(tmp_path, monkeypatch):
     for command in "".join(COMMANDS.findall(text)).splitlines():
         run(command)
     assert (tmp_path / "run" / "eval.json").is_file()
+
+
+@pytest.mark.slow
+def test_every_command_of_the_tutorial_of_a_real_sensor_runs(tmp_path, monkeypatch):
+    """As written, on all of the package's presses."""
+    pytest.importorskip("taxim", reason="pip install --no-deps taxim==1.4.1: its real presses")
+    text = (ROOT / "docs" / "tutorial" / "real_sensor.md").read_text(encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    for name, content in FILE.findall(text):
+        (tmp_path / name).write_text(content, encoding="utf-8")
+    for command in "".join(COMMANDS.findall(text)).splitlines():
+        if not command.startswith("pip "):
+            run(command)
+    held_out = json.loads((tmp_path / "optics" / "diagnosis.json").read_text())
+    assert held_out["channels"]["rgb"]["verdict"] == "sufficient"
+    readings = (tmp_path / "readings" / "readings.csv").read_text().splitlines()
+    columns = readings[0].split(",")
+    forces = [float(row.split(",")[columns.index("force_normal_n")]) for row in readings[1:]]
+    assert forces == pytest.approx([4.0, 12.0], rel=0.1)
 
 
 @pytest.mark.slow

@@ -6,23 +6,38 @@ Readers by kind; spoiled at random they are read in ``tests/fuzz``.
 from __future__ import annotations
 
 import json
+import pickle
 import struct
 import time
 import zipfile
+import zlib
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
 from tacgen.collection.recipe import load_recipe
-from tacgen.core.errors import DatasetError, ObjectError, RecipeError, TableError, TacgenError
+from tacgen.core.errors import (
+    DatasetError,
+    ObjectError,
+    PressError,
+    RecipeError,
+    TableError,
+    TacgenError,
+)
+from tacgen.core.safe_io import read_rgb
 from tacgen.core.yaml_source import read_yaml
 from tacgen.dataset import Dataset, DatasetFolder
 from tacgen.dataset.manifest import MAX_SHARD_GRASPS, parse_line
 from tacgen.objects.mesh_import import import_surface
 from tacgen.optics import load_table, save_table
+from tacgen.presses import lab_table
+from tacgen.presses.press_folder import read_presses
+from tacgen.presses.press_log import read_press_log
 from tests.dataset.conftest import collect_toy, make_spec
+from tests.fuzz.readers import LEARNED, READERS
 from tests.small_world import slope_table, write_world
 
 SECONDS = 5.0
@@ -201,10 +216,10 @@ def test_a_table_that_unpacks_to_gigabytes_is_refused_before_it_is_unpacked(tmp_
         np.lib.format.write_array_header_1_0(
             file, {"descr": "<f4", "fortran_order": False, "shape": (20000, 20000, 3)}
         )
-        for _ in range(300):
+        for _ in range(70):
             file.write(bytes(4 << 20))
     start = time.process_time()
-    with pytest.raises(TableError, match="take more than 1024 MiB"):
+    with pytest.raises(TableError, match="take more than 256 MiB"):
         load_table(path)
     assert time.process_time() - start < 1.0
 
@@ -234,6 +249,9 @@ def test_lines_of_manifests(tmp_path, changes, words):
     [
         ({"n_shards": 10**10}, "10000000000|1e[+]10"),
         ({"n_grasps": 10**15}, "shards, more than"),
+        ({"parts": ["x"]}, "missing or broken"),
+        ({"parts": float("inf")}, "missing or broken"),
+        ({"grids": 3}, "missing or broken"),
         ({"schema": 2}, "made by a newer tacgen"),
     ],
 )
@@ -299,6 +317,146 @@ def test_glb_scenes_that_unfold(tmp_path, tree, words):
     with pytest.raises(ObjectError, match=words):
         import_surface(path)
     assert time.process_time() - start < SECONDS
+
+
+class Harm:
+    """What unpickling runs."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return Path.touch, (self.path,)
+
+
+ARRAYS = {
+    "lookup table": "coefficients",
+    "polycalib": "grad_r",
+    "dataPack": "imgs",
+    "gs-sdk label": "center",
+    "added parts": "vertices_0",
+    "polycalib's background": None,
+    "checkpoint": None,
+    "weights": None,
+    "model": None,
+}
+"""Readers, and the array of theirs that is made one of Python objects."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=pytest.mark.slow if name in LEARNED else ()) for name in ARRAYS],
+)
+def test_no_pickle_is_run(tmp_path, name):
+    if name in LEARNED:
+        pytest.importorskip("torch")
+    path, harmed = READERS[name].make(tmp_path), tmp_path / "harmed"
+    objects = np.array([Harm(harmed)], dtype=object)
+    if ARRAYS[name] is None:
+        path.write_bytes(pickle.dumps({"epoch": Harm(harmed), "weights": {}}))
+        if path.suffix == ".npy":
+            np.save(path, objects, allow_pickle=True)
+    else:
+        with np.load(path) as archive:
+            members = {key: archive[key] for key in archive.files}
+        np.savez(path, **{**members, ARRAYS[name]: objects})
+    with pytest.raises(TacgenError):
+        READERS[name].read(path)
+    assert not harmed.exists()
+
+
+def test_files_without_end(tmp_path, monkeypatch):
+    """The limits are lowered: files beyond them take seconds to write."""
+    monkeypatch.setattr(lab_table, "MAX_CELLS", 60)
+    monkeypatch.setattr(lab_table, "MAX_BYTES", 1000)
+    header, row = "trial,time_s,force_normal_n,volume_mm3\n", "1,0.5,1,5\n"
+    path = tmp_path / "log.csv"
+    for text, words in (
+        (header + 100 * row, "bytes, more than 1000; keep every"),
+        (header + 20 * row, "cells, more than 60; keep every"),
+        (header + 40 * "1\n", "rows, more than 30"),
+    ):
+        path.write_text(text)
+        with pytest.raises(PressError, match=words):
+            read_press_log(path)
+    path = tmp_path / "large.png"
+    head = struct.pack(">IIBBBBB", 8192, 8192, 16, 6, 0, 0, 0)
+    chunk = struct.pack(">I", 13) + b"IHDR" + head + struct.pack(">I", zlib.crc32(b"IHDR" + head))
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk)
+    with pytest.raises(TacgenError, match="32 million in all"):
+        read_rgb(path)
+
+
+def test_a_datapack_that_unfolds_is_refused_before_it_does(tmp_path):
+    path = tmp_path / "dataPack.npz"
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("imgs.npy", "w", force_zip64=True) as file,
+    ):
+        shape = {"descr": "|u1", "fortran_order": False, "shape": (200 << 20,)}
+        np.lib.format.write_array_header_1_0(file, shape)
+        for _ in range(50):
+            file.write(bytes(4 << 20))
+    with pytest.raises(PressError, match="unfolds to more than 50 times its size"):
+        read_presses(path)
+
+
+def test_a_parquet_log_without_end(tmp_path, monkeypatch):
+    pytest.importorskip("pyarrow")
+    path = READERS["press log parquet"].make(tmp_path)
+    monkeypatch.setattr(lab_table, "MAX_CELLS", 60)
+    with pytest.raises(PressError, match="100 cells, more than 60"):
+        read_press_log(path)
+
+
+def _links(group, name):
+    group[name] = h5py.SoftLink(f"/{name}")
+
+
+def _leads_elsewhere(group, name):
+    group[name] = h5py.ExternalLink("/etc/hostname", "/x")
+
+
+def _lies_elsewhere(group, name):
+    group.create_dataset(name, (1, 1, 3), "u1", external=[("/etc/hostname", 0, 3)])
+
+
+def _swells(group, name):
+    group.create_dataset(name, (10**6, 10**6, 3), "u1", chunks=(100, 100, 3))
+
+
+def _is_a_group(group, name):
+    group.create_group(name)
+
+
+def _is_empty(group, name):
+    group[name] = h5py.Empty("u1")
+
+
+@pytest.mark.parametrize(
+    "replace", [_links, _leads_elsewhere, _lies_elsewhere, _swells, _is_a_group, _is_empty]
+)
+@pytest.mark.parametrize("name", ["data", "data/i0", "data/i0/gelsightA_after"])
+def test_pictures_in_hdf5_that_are_none(tmp_path, replace, name):
+    path = READERS["feeling-of-success"].make(tmp_path)
+    with h5py.File(path, "r+") as file:
+        del file[name]
+        replace(file, name)
+    if "gelsight" in name:
+        count, notes = READERS["feeling-of-success"].read(path)
+        assert count == 1, "the other finger's"
+        assert any("no gelsightA_after as a picture in this file" in note for note in notes)
+    else:
+        with pytest.raises(DatasetError, match="no grasps|not imported"):
+            READERS["feeling-of-success"].read(path)
+
+
+def test_messages_neither_steer_the_terminal_nor_fill_it():
+    text = str(TacgenError("a.csv: '\x1b]0;title\x07\x9b31m\u202e' of " + "x" * 10**6))
+    assert "\\x1b]0;title\\x07\\x9b31m\\u202e" in text
+    assert len(text) < 2000
+    assert len(str(TacgenError("\n".join("line" for _ in range(10**4)))).splitlines()) == 201
+    assert str(TacgenError("Fläche in µm³,\nzwei Zeilen")) == "Fläche in µm³,\nzwei Zeilen"
 
 
 def test_the_sound_table_is_read(tmp_path):

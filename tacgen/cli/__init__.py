@@ -17,7 +17,17 @@ import typer
 import tacgen.core.rare_collections  # noqa: F401
 
 # Importing a module of commands registers them.
-from tacgen.cli import calibrate, cluster, datasets, diagnose, learning, machine, objects, recipes  # noqa: F401
+from tacgen.cli import (  # noqa: F401
+    calibrate,
+    cluster,
+    datasets,
+    diagnose,
+    learning,
+    machine,
+    objects,
+    recipes,
+    sensors,
+)
 from tacgen.cli.common import app
 from tacgen.core.disk import disk_message
 from tacgen.core.errors import Interrupted, TacgenError

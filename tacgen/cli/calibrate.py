@@ -131,6 +131,31 @@ def calibrate_import(
     common.hand_over(*common.table_lines(out, table.shape_px, mm_per_px))
 
 
+@common.calibrate_app.command("export")
+def calibrate_export(
+    table: Annotated[Path, Argument(help="Table file (table.npz).")],
+    out: Annotated[Path, Option(help="Folder to write; it must not exist yet.")],
+    format_name: Annotated[
+        str, Option("--format", help="taxim: the calibration folder of Taxim's simulators.")
+    ] = "taxim",
+    json_output: common.JsonFlag = False,
+) -> None:
+    """Write a table for other simulators; prints what their form of it loses."""
+    from dataclasses import asdict
+
+    from tacgen.calibrate.lookup.taxim_export import export_taxim
+    from tacgen.core.errors import TableError, require_known
+    from tacgen.optics.table import load_table
+
+    require_known("--format", format_name, ("taxim",), TableError)
+    loaded = load_table(table)
+    loss = export_taxim(loaded, out)
+    if loaded.effects:
+        common.warn([f"left out: {', '.join(loaded.effects)}, which Taxim's form has no place for"])
+    common.print_result({"folder": str(out), **asdict(loss)}, [str(out), loss.line()], json_output)
+    common.hand_over(f'Taxim(calib_folder=Path("{out.resolve()}"))  # of the package taxim')
+
+
 @common.calibrate_app.command("contact")
 def calibrate_contact(
     log: Annotated[

@@ -12,8 +12,9 @@ import typer
 from typer import Argument, Option
 from typer.core import TyperGroup
 
+from tacgen.core.errors import readable
 from tacgen.core.progress import LOG, is_quiet
-from tacgen.core.resources import object_folders, packaged
+from tacgen.core.resources import object_folders, packaged, sensor_files
 from tacgen.core.workers import available_cores
 
 CALIBRATION = "Calibration and diagnosis"
@@ -87,11 +88,15 @@ diagnose_app = _group(
     "diagnose", "Find the effects that explain the residuals of a calibrated model."
 )
 objects_app = _group("objects", "List and show the objects to grasp; add your own meshes.")
+sensors_app = _group(
+    "sensors", "List and show the sensors and where their colours come from; add your own."
+)
 recipe_app = _group("recipe", "Show a recipe with all of its settings; schemas for editors.")
 app.add_typer(calibrate_app, rich_help_panel=CALIBRATION)
 app.add_typer(diagnose_app, rich_help_panel=CALIBRATION)
 app.add_typer(recipe_app, rich_help_panel=DATASETS)
 app.add_typer(objects_app, rich_help_panel=DATASETS)
+app.add_typer(sensors_app, rich_help_panel=CALIBRATION)
 
 
 @app.callback()
@@ -113,6 +118,11 @@ def options(
 def recipe_names() -> list[str]:
     """The shipped recipes, to complete arguments in a shell."""
     return sorted(path.stem for path in packaged("recipes").glob("*.yaml"))
+
+
+def sensor_names() -> list[str]:
+    """The sensors here, to complete arguments in a shell."""
+    return list(sensor_files())
 
 
 def object_names() -> list[str]:
@@ -202,7 +212,7 @@ def print_record(record: Mapping[str, object], json_output: bool) -> None:
 def warn(lines: Iterable[object], label: str = "warning") -> None:
     """Print lines on standard error."""
     for line in lines:
-        typer.echo(f"{label}: {line}", err=True)
+        typer.echo(f"{label}: {readable(str(line))}", err=True)
 
 
 def note(lines: Iterable[object]) -> None:

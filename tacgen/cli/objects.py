@@ -43,13 +43,16 @@ def objects_show(
 
 @common.objects_app.command("add")
 def objects_add(
-    mesh: Annotated[Path, Argument(help="Mesh file (OBJ, STL, PLY, GLB), or a folder of them.")],
+    mesh: Annotated[Path, Argument(help="Mesh (OBJ, STL, PLY, GLB), URDF, or folder of them.")],
     mass_kg: Annotated[
         float, Option("--mass", help="Mass of the object, or of each in a folder, kg.")
     ],
     scale: Annotated[
-        float, Option(help="Millimetres per unit of the mesh: 1000 for metres.")
-    ] = 1.0,
+        float | None,
+        Option(
+            help="Millimetres per unit of the mesh: 1000 for metres; default: 1, of a URDF 1000."
+        ),
+    ] = None,
     name: Annotated[
         str | None, Option(help="Name of the object; default: the mesh file's name.")
     ] = None,
@@ -103,7 +106,7 @@ def objects_add(
             common.note(added.notes)
             folder = Path("objects") / added.object.name
             facts = object_facts(added.object, read_description(folder))
-            write_picture(added.object, folder / "picture.png")
+            write_picture(added.object, folder / "picture.png", added.toppled_from)
             records.append(facts)
             texts.append(facts_text(facts))
             done.append(added.object.name)

@@ -9,11 +9,13 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter
 from pydantic.dataclasses import dataclass
 
 from tacgen.core.errors import ClusterError
-from tacgen.core.files import write_text
+from tacgen.core.files import read_small_text, write_text
+
+MAX_RECORD_BYTES = 1 << 26  # of a hundred thousand tasks, each with its shards, a tenth
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +73,10 @@ class JobsFolder:
             path = folder / "submission.json"
             try:
                 if path.is_file():
-                    found[folder] = TypeAdapter(Submission).validate_json(path.read_bytes())
-            except ValidationError as error:
+                    found[folder] = TypeAdapter(Submission).validate_json(
+                        read_small_text(path, MAX_RECORD_BYTES)
+                    )
+            except ValueError as error:
                 msg = f"{path}: not the record of a submission; delete the folder {folder}"
                 raise ClusterError(msg) from error
         return found
@@ -94,6 +98,6 @@ def write_record(path: Path, record: Submission | Note) -> None:
 def read_note(path: Path) -> Note | None:
     """The last state of a task; None where it has not begun, or the file was cut short."""
     try:
-        return TypeAdapter(Note).validate_json(path.read_bytes())
-    except (OSError, ValidationError):
+        return TypeAdapter(Note).validate_json(read_small_text(path, MAX_RECORD_BYTES))
+    except (OSError, ValueError):
         return None

@@ -258,6 +258,7 @@ def check_forces(recipe: Recipe, real: RealGrasps) -> None:
 
 
 _WHY = {
+    "toppled": "the object topples before",
     "unreachable": "out of the gripper's reach",
     "no_contact": "the fingers close on nothing",
     "crashed": "the simulation crashed",

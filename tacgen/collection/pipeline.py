@@ -219,6 +219,7 @@ def dataset_spec(
     sensor = load_sensor(recipe.sensor)
     inputs = recipe_inputs(recipe)
     at_load = recipe.optics.noise == "at_load"
+    table = load_table(sensor.table)
     return DatasetSpec(
         recipe=recipe.resolved(folder),
         recipe_sha256=inputs.sha256["recipe"],
@@ -232,7 +233,8 @@ def dataset_spec(
         n_grasps=n_grasps,
         shard_size=recipe.dataset.shard_size,
         reference_rgb=tactile_pad(recipe).image(Imprint()),
-        noise_at_load_grey=load_table(sensor.table).noise_grey if at_load else 0.0,
+        noise_at_load_grey=table.noise_grey if at_load else 0.0,
+        colors_from=table.origin,
         depth=recipe.dataset.depth,
         picture_px=PICTURE_PX if recipe.dataset.scene_pictures else None,
     )

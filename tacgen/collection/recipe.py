@@ -32,7 +32,7 @@ from tacgen.core.resources import (
     sensor_path,
     unknown_object_hint,
 )
-from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N
+from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N, k_n_doubt
 from tacgen.core.yaml_source import KeyPath, YamlSource, load_checked, problem_text
 from tacgen.dataset.manifest import MAX_SHARD_GRASPS
 from tacgen.physics.robots import RobotSpec, gripper_file, load_robot
@@ -446,3 +446,5 @@ def _values_out_of_range(recipe: Recipe, source: YamlSource) -> Iterable[str]:
         for k, force_n in enumerate(grid.force_n or ()):
             if problem := force_problem(force_n, limit_n):
                 yield source.problem((*key_path, "force_n", k), problem)
+    if recipe.contact.file is None and (doubt := k_n_doubt(recipe.contact.k_n_mm3_per_n)):
+        yield source.problem(("contact", "k_n_mm3_per_n"), doubt)

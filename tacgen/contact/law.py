@@ -30,7 +30,7 @@ from tacgen.core.config import Section
 from tacgen.core.errors import ContactError, RecipeError
 from tacgen.core.files import write_text
 from tacgen.core.records import Estimate
-from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N
+from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N, k_n_doubt
 from tacgen.core.version import newer_explains
 from tacgen.core.yaml_source import YamlSource, read_yaml, validate
 
@@ -236,6 +236,19 @@ def respond(
     return result
 
 
+def _unit_problems(file: "LawFile") -> list[str]:
+    """Units that are not tacgen's, and a k_n that no gel has unless its unit is stated."""
+    given = {key: one for key in _ESTIMATES if (one := getattr(file, key)) is not None}
+    problems = [
+        f"{key}.unit = {one.unit!r} is not {_ESTIMATES[key]}; convert the value"
+        for key, one in given.items()
+        if one.unit.replace("³", "3") not in ("", _ESTIMATES[key])
+    ]
+    if not file.k_n_mm3_per_n.unit and (doubt := k_n_doubt(file.k_n_mm3_per_n.value)):
+        problems.append(f"k_n_mm3_per_n {doubt}")
+    return problems
+
+
 def _law_problems(law: ContactLaw) -> list[str]:
     """Everything that is wrong with a law."""
     problems = []
@@ -300,6 +313,8 @@ def save_law(law: ContactLaw, path: Path) -> None:
         estimate = getattr(law, key)
         if estimate is not None:
             content[key] = _numbers(estimate)
+            if key == "k_n_mm3_per_n" and k_n_doubt(estimate.value):
+                content[key]["unit"] = "mm3/N"  # as measured: it is read without a question
     content["marker_pitch_mm"] = float(law.marker_pitch_mm)
     content["effects"] = [
         {
@@ -317,7 +332,7 @@ def save_law(law: ContactLaw, path: Path) -> None:
     write_text(Path(path), yaml.safe_dump(content, sort_keys=False, allow_unicode=True))
 
 
-def _numbers(estimate: Estimate) -> dict[str, float]:
+def _numbers(estimate: Estimate) -> dict[str, Any]:
     return {"value": float(estimate.value), "stderr": float(estimate.stderr)}
 
 
@@ -357,6 +372,7 @@ def load_law(path: Path | str) -> ContactLaw:
 
 def _law_of(path: Path, source: YamlSource) -> ContactLaw:
     file = validate(LawFile, source, ContactError)
+    ContactError.raise_if([f"{path}: {line}" for line in _unit_problems(file)])
     estimates = {
         key: replace(given, unit=given.unit or unit)
         for key, unit in _ESTIMATES.items()

@@ -85,11 +85,13 @@ def csv_problem(error: Exception) -> str:
         return f"byte {error.start} is not UTF-8 text; save it as comma-separated UTF-8 text"
     if isinstance(error, OSError):
         return f"{error.strerror or error}; check the path and its permissions"
-    if "quote that is not closed" in str(error):
-        return f"there is {error}; close or delete it"
-    if "No columns to parse" in str(error):
-        return "it is empty; write a header and one row each below it"
-    return "it is not comma-separated text; save it as comma-separated UTF-8 text"
+    known = {
+        "an Excel workbook": "it is an Excel workbook; save its sheet as CSV",
+        "quote that is not closed": f"there is {error}; close or delete it",
+        "No columns to parse": "it is empty; write a header and one row each below it",
+    }
+    other = "it is not comma-separated text; save it as comma-separated UTF-8 text"
+    return next((text for words, text in known.items() if words in str(error)), other)
 
 
 def unit_problems(name: str, values: FloatArray) -> str:

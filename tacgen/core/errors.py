@@ -1,7 +1,28 @@
 """Errors that a user can fix; the command line turns each into one message and exit code 2."""
 
+import re
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
+
+MOST_LETTERS, MOST_LINES = 1500, 200  # of a message; what is cut out comes from a file, as a rule
+
+_CONTROL = re.compile(
+    r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
+)
+"""What steers a terminal or turns the direction of writing, and what is no letter."""
+
+
+def readable(text: str) -> str:
+    """A message in which what a file holds is neither endless nor steers the terminal."""
+    lines = text.split("\n")
+    if len(lines) > MOST_LINES:
+        lines = [*lines[:MOST_LINES], f"… and {len(lines) - MOST_LINES} more lines"]
+    third = MOST_LETTERS // 3
+    shown = [
+        line if len(line) <= MOST_LETTERS else f"{line[: 2 * third]} … {line[-third:]}"
+        for line in lines
+    ]
+    return _CONTROL.sub(lambda found: ascii(found[0])[1:-1], "\n".join(shown))
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
@@ -14,6 +35,9 @@ class TacgenError(Exception):
     """Wrong input: the message says what is wrong, where, and how to fix it."""
 
     exit_code = 2
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(readable(str(message)))
 
     @classmethod
     def from_problems(cls, problems: Sequence[str]) -> "TacgenError":

@@ -17,7 +17,7 @@ PadName = Literal["left", "right"]
 """Names of a gripper's pads."""
 PADS: tuple[str, ...] = get_args(PadName)
 
-Status = Literal["executed", "unreachable", "no_contact", "crashed"]
+Status = Literal["executed", "toppled", "unreachable", "no_contact", "crashed"]
 FailureMode = Literal["", "translational_slip", "rotational_slip"]
 
 Until = Literal["lift", "outcome"]

@@ -30,6 +30,12 @@ def sensor_path(name: str, *, beside: Path | None = None) -> Path:
     return _find_yaml(name, "recipes/sensors", "sensor", beside)
 
 
+def sensor_files() -> dict[str, Path]:
+    """The YAML file of every sensor by name: shipped ones, then those in ``./recipes/sensors``."""
+    roots = [packaged("recipes") / "sensors", Path("recipes/sensors")]
+    return {path.stem: path for root in roots for path in sorted(root.glob("*.yaml"))}
+
+
 def gripper_path(name: str, *, beside: Path | None = None) -> Path:
     """The YAML file of the gripper ``name``, found the same way in ``recipes/grippers``."""
     return _find_yaml(name, "recipes/grippers", "gripper", beside)

@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 from tacgen.core.errors import TacgenError
 from tacgen.core.progress import print_once
 
-MAX_SIDE_PX = 8192  # larger than any tactile camera's image
-MAX_ARCHIVE_BYTES = 4 << 30  # what the arrays of an archive may take together
+MAX_SIDE_PX, MAX_PIXELS = 8192, 1 << 25  # larger than any tactile camera's image
+MAX_IMAGE_BYTES = 1 << 28
+UNFOLDED, LEAST_UNFOLDED_BYTES = 50, 1 << 27  # no measured picture is so empty
+MAX_ARCHIVE_BYTES = 1 << 30  # what the arrays of an archive may take together
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
@@ -43,6 +45,9 @@ def read_rgb(path: Path, error: type[TacgenError] = TacgenError) -> NDArray[np.u
         msg = f"{path}: no such file; give PNG or JPEG"
         raise error(msg)
     try:
+        if path.stat().st_size > MAX_IMAGE_BYTES:
+            msg = f"{path}: larger than {MAX_IMAGE_BYTES >> 20} MiB, which no picture is"
+            raise error(msg)
         data = path.read_bytes()
     except OSError as problem:
         msg = f"{path}: cannot be read: {problem.strerror}"
@@ -67,7 +72,7 @@ def decode_rgb(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             with Image.open(io.BytesIO(data)) as image:
-                if max(image.size) <= MAX_SIDE_PX:
+                if max(image.size) <= MAX_SIDE_PX and math.prod(image.size) <= MAX_PIXELS:
                     _refuse_kind(image, where, error)
                     if _is_cut_short(image.format, data):
                         msg = f"{where}: is cut short or damaged; copy it again from its source"
@@ -78,7 +83,8 @@ def decode_rgb(
             cv2.error):  # fmt: skip
         found = None
     if found is None:
-        problem = f"cannot be read as an image of at most {MAX_SIDE_PX} pixels a side"
+        problem = f"cannot be read as an image of at most {MAX_SIDE_PX} pixels a side, "
+        problem += f"{MAX_PIXELS >> 20} million in all"
         msg = f"{where}: {problem}; give PNG or JPEG"
         raise error(msg)
     if found.ndim == 3:  # blue comes first
@@ -210,6 +216,15 @@ def _about(image: Any, data: bytes) -> tuple[list[str], int]:
     return notes, turn
 
 
+def refuse_packed(path: Path) -> None:
+    """Raise ``ValueError`` for an archive that unfolds; one of another kind is left alone."""
+    if zipfile.is_zipfile(path):
+        with zipfile.ZipFile(path) as archive:
+            if sum(member.file_size for member in archive.infolist()) > path.stat().st_size:
+                msg = "it is larger than its file, which is never so"
+                raise ValueError(msg)
+
+
 def check_archive(path: Path, most_bytes: int = MAX_ARCHIVE_BYTES) -> None:
     """See that every array of a .npz is as large as it says, and all of them not too large.
 
@@ -220,12 +235,16 @@ def check_archive(path: Path, most_bytes: int = MAX_ARCHIVE_BYTES) -> None:
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
-            if sum(member.file_size for member in members) > most_bytes:
+            size = sum(member.file_size for member in members)
+            if size > most_bytes:
                 msg = f"its arrays take more than {most_bytes >> 20} MiB"
+                raise ValueError(msg)
+            if size > max(UNFOLDED * path.stat().st_size, LEAST_UNFOLDED_BYTES):
+                msg = f"it unfolds to more than {UNFOLDED} times its size"
                 raise ValueError(msg)
             for member in members:
                 with archive.open(member) as file:
-                    _check_array(file, member)
+                    _check_array(file, member.filename, member.file_size)
                     while file.read(1 << 20):  # the checksum is that of the whole
                         pass
     except (OSError, ValueError):
@@ -235,12 +254,33 @@ def check_archive(path: Path, most_bytes: int = MAX_ARCHIVE_BYTES) -> None:
         raise ValueError(msg) from None
 
 
-def _check_array(file: IO[bytes], member: zipfile.ZipInfo) -> None:
+def read_npy(path: Path, most_bytes: int) -> NDArray[Any]:
+    """The array of a .npy file, whose stated size is looked at before anything is read.
+
+    Raises ``ValueError`` if it is not as large as it says, larger than ``most_bytes``, or holds
+    Python objects; ``OSError`` if there is no such file.
+    """
+    size = path.stat().st_size
+    if size > most_bytes:
+        msg = f"it takes more than {most_bytes >> 20} MiB"
+        raise ValueError(msg)
+    try:
+        with path.open("rb") as file:
+            _check_array(file, path.name, size)
+        return np.asarray(np.load(path, allow_pickle=False))
+    except (OSError, ValueError):
+        raise
+    except Exception as error:  # as above
+        msg = f"it is damaged: {type(error).__name__}"
+        raise ValueError(msg) from None
+
+
+def _check_array(file: IO[bytes], name: str, size: int) -> None:
     version = npy.read_magic(file)
     read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
     shape, _, dtype = read(file)
     n_bytes = dtype.itemsize * math.prod(map(int, shape))
     # Objects are pickled and refused by whoever reads them; they have no size of their own.
-    if not dtype.hasobject and n_bytes != member.file_size - file.tell():
-        msg = f"{member.filename} says {shape} of {dtype}, which is not what is there"
+    if not dtype.hasobject and n_bytes != size - file.tell():
+        msg = f"{name} says {shape} of {dtype}, which is not what is there"
         raise ValueError(msg)

@@ -102,6 +102,7 @@ class DatasetFolder:
             "engine": spec.inputs.engine,
             "versions": spec.inputs.versions,
             "sensor": spec.sensor.name,
+            "colors_from": spec.colors_from,
             "pads": spec.pads,
             "n_grasps": spec.n_grasps,
             "shard_size": spec.shard_size,
@@ -191,7 +192,10 @@ class DatasetFolder:
                 raise DatasetError(msg)
             numbers = [plan[name] for name in ("n_grasps", "shard_size", "n_shards")]
             is_whole = all(isinstance(number, int) and number > 0 for number in numbers)
-            is_whole &= plan.keys() >= {"inputs", "grids", "parts"}
+            kinds = {"inputs": dict, "grids": list, "parts": list}
+            is_whole &= all(isinstance(plan[name], kind) for name, kind in kinds.items())
+            # JSON's true is an int in Python.
+            is_whole &= all(type(part) is int and part > 0 for part in plan["parts"])
         if not is_whole:
             fix = "give the folder that `tacgen collect --out` made"
             name = self.plan_path.name

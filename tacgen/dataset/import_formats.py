@@ -27,6 +27,7 @@ POSEIT_PHASES = ("grasp", "pose", "stability")
 POSEIT_UNUSED = ("f_t.csv", "gripper.csv", "rgb")
 """What else a folder holds and the folder of real grasps has no place for."""
 PICTURES = (".jpg", ".jpeg", ".png")
+MAX_PICTURE_BYTES = 1 << 28
 FEELING_OF_SUCCESS_MOMENTS = ("before", "during", "after")
 FEELING_OF_SUCCESS_USED = ("object_name", "is_gripping")
 
@@ -186,12 +187,15 @@ def read_feeling_of_success(source: Path, notes: Notes) -> Iterator[ImportedGras
     for file in files:
         try:
             with h5py.File(file) as h5:
-                root = h5["data"] if isinstance(h5.get("data"), h5py.Group) else h5
-                groups = {name: one for name, one in root.items() if isinstance(one, h5py.Group)}
+                data = _member(h5, "data")
+                root = data if isinstance(data, h5py.Group) else h5
+                members = {name: _member(root, name) for name in root}
+                groups = {name: one for name, one in members.items() if isinstance(one, h5py.Group)}
                 for name in sorted(groups, key=lambda name: (len(name), name)):
                     notes.trials += 1
                     yield from _both_fingers(f"{file.stem}_{name}", groups[name], notes)
-        except OSError as error:
+        except (OSError, RuntimeError, LookupError, ValueError, TypeError) as error:
+            # h5py raises the latter for damage that it meets on the way.
             notes.left_out.append(f"{file}: not imported: cannot be read as HDF5: {error}")
 
 
@@ -206,13 +210,13 @@ def _both_fingers(grasp_id: str, group: h5py.Group, notes: Notes) -> Iterator[Im
     text = name.decode() if isinstance(name, bytes) else str(name)
     for finger in "AB":
         moments = [f"gelsight{finger}_{moment}" for moment in FEELING_OF_SUCCESS_MOMENTS]
-        missing = [moment for moment in moments if moment not in group]
+        missing = [moment for moment in moments if _array(group, moment) is None]
         try:
             if missing:
-                msg = f"no {', '.join(missing)}"
+                msg = f"no {', '.join(missing)} as a picture in this file"
                 raise DatasetError(msg)
             kind_of = f"{group.file.filename}: gelsight{finger}"
-            images = tuple(_picture(group[moment][()], moment, kind_of) for moment in moments)
+            images = tuple(_picture(_array(group, one), one, kind_of) for one in moments)
         except DatasetError as error:
             notes.left_out.append(f"{grasp_id}_{finger}: not imported: {error}")
             continue
@@ -243,9 +247,22 @@ def _deepdish_value(group: h5py.Group, name: str) -> object:
     """A scalar, which deepdish writes as an attribute, or as an array of one."""
     if name in group.attrs:
         return group.attrs[name]
-    if name in group:
-        return np.asarray(group[name]).reshape(-1)[0]
-    return None
+    values = _array(group, name)
+    return None if values is None or not values.size else values.reshape(-1)[0]
+
+
+def _member(group: h5py.Group, name: str) -> h5py.Group | h5py.Dataset | None:
+    """What a group holds itself; None for links, which lead to other files or in circles."""
+    link = group.get(name, getlink=True)
+    return group[name] if isinstance(link, h5py.HardLink) else None
+
+
+def _array(group: h5py.Group, name: str) -> NDArray[Any] | None:
+    """An array that this file holds, of at most a picture's size; else None."""
+    found = _member(group, name)
+    if not isinstance(found, h5py.Dataset) or found.is_virtual or found.external:
+        return None
+    return np.asarray(found[()]) if found.size and found.nbytes <= MAX_PICTURE_BYTES else None
 
 
 GRASP_FORMATS: Mapping[str, Callable[[Path, Notes], Iterator[ImportedGrasp]]] = {

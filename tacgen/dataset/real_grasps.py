@@ -13,6 +13,7 @@ import numpy as np
 
 from tacgen.core.columns import GRASPS, csv_problem, similar_columns, unit_problems
 from tacgen.core.errors import DatasetError, did_you_mean
+from tacgen.core.files import read_small_text
 from tacgen.core.frame_order import in_time_order
 from tacgen.core.records import FailureMode, GraspConfig
 from tacgen.core.resources import unknown_object_hint
@@ -28,7 +29,7 @@ FRAMES = ("grasp_frame", "lift_frame")
 FRAME_UNKNOWN = -1
 FAILURE_MODES: tuple[FailureMode, ...] = get_args(FailureMode)
 BACKGROUND = "background.png"  # image of the undeformed gel, where there is one
-ABOUT = "about.json"
+ABOUT, MAX_ABOUT_BYTES = "about.json", 1 << 20
 """Says ``simulated: true`` where no robot made the grasps; a robot's folder needs none."""
 MAX_BYTES = 256 << 20  # some million grasps
 MAX_PROBLEMS_SHOWN = 20  # enough to see a pattern in a message
@@ -133,7 +134,7 @@ def read_real_grasps(
 def _about(folder: Path) -> dict[str, Any]:
     """What ``about.json`` says; nothing where it is missing or broken."""
     with contextlib.suppress(OSError, ValueError, RecursionError):
-        about = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
+        about = json.loads(read_small_text(folder / ABOUT, MAX_ABOUT_BYTES))
         return about if isinstance(about, dict) else {}
     return {}
 

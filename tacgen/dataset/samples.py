@@ -133,6 +133,7 @@ class DatasetSpec:
     shard.
     ``pads`` are ``left``, ``right`` or both; ``time_s`` the times of the T frames, from
     closing on (0 for a single image). The last shard may hold fewer than ``shard_size`` grasps.
+    ``colors_from`` says what the table is of: real presses, or a virtual sensor.
     ``reference_rgb`` (H, W, 3) uint8 is the undeformed gel, ``depth`` whether ``depth_mm`` is kept,
     ``picture_px`` (height, width) the size of the scene pictures, if there are any. The images are
     stored without the camera's noise where ``noise_at_load_grey`` is the standard deviation of what
@@ -154,6 +155,7 @@ class DatasetSpec:
     inputs: Inputs = field(default_factory=Inputs)
     grids: tuple[Any, ...] = ()
     parts: tuple[int, ...] = ()
+    colors_from: str = ""
 
     @property
     def until(self) -> Until:

@@ -18,12 +18,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import groupby
 from operator import attrgetter
-from typing import Any
+from typing import Any, get_args
+
+from tacgen.core.records import Status
 
 FORMAT_VERSION = 1
 ACTION = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")  # of a grasp, in exports for policies
 SPLITS = ("train", "test")
-STATUSES = ("executed", "unreachable", "no_contact", "crashed")
+STATUSES = get_args(Status)
 FAILURE_MODES = ("", "translational_slip", "rotational_slip")
 
 FRAMES_UNTIL = "frames_until"

@@ -51,6 +51,7 @@ def summarize(root: Path | str) -> dict[str, Any]:
         "root": str(folder.root),
         "recipe": plan.get("recipe", lines[0].recipe),
         **{name: getattr(lines[0], name) for name in same},
+        "colors_from": plan.get("colors_from", "not recorded"),
         "inputs": dict(sorted(inputs.items())),
         "parts": [parts[k] for k in sorted(parts)],
         "shards": len(lines),

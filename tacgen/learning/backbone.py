@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from tacgen.core.errors import LearningError
 from tacgen.core.files import is_file
+from tacgen.core.safe_io import refuse_packed
 
 FEATURES = 512  # width of ResNet-18's last stage
 WIDTHS = [64, 128, 256, FEATURES]  # of its stages
@@ -150,6 +151,7 @@ def read_tensors(path: Path, what: str, fix: str) -> Any:
     try:
         if path.suffix == ".safetensors":
             return load_file(path)
+        refuse_packed(path)
         return torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # the readers raise whatever a damaged file leads them to
         reason = f"{type(error).__name__} {str(error).strip()}".splitlines()[0][:200]

@@ -1,10 +1,11 @@
 """Add a mesh of one's own as an object: ``objects/<name>`` with its description and meshes."""
 
+import itertools
 import os
 import re
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,44 +18,58 @@ from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import ObjectError
 from tacgen.core.files import sha256_of, sync_file
 from tacgen.core.records import GraspObject, Mesh
+from tacgen.objects.cutting import CONCAVITIES, convex_parts, cut_again
 from tacgen.objects.description import NAME_PATTERN
 from tacgen.objects.grasp_ranges import (
     DOME_RADIUS_MM,
+    TouchError,
     facet_note,
     graspable,
+    largest_grid,
     suggest_ranges,
     suggest_yaw,
     touch_error_mm,
+    touch_errors,
 )
 from tacgen.objects.load import load_object, write_meshes
-from tacgen.objects.mesh_import import UP_AXES, convex_parts, import_surface, placed
+from tacgen.objects.mesh_import import UP_AXES, import_surface, placed
 from tacgen.objects.meshes import mass_properties, volume_mm3
-from tacgen.objects.rest import toppled
 from tacgen.objects.trial import executed_ranges
 from tacgen.physics.frames import rotation_about_z
+from tacgen.physics.rest import angle_deg, toppled
 
 DEFAULT_FRICTION = 0.4  # the largest of the shipped objects'
 DENSEST_G_CM3, LIGHTEST_G_CM3 = 23.0, 0.005  # Osmium, and a little less than the lightest foam
 ALLOWED_ERROR_MM = 0.6
 """Error of where the pads touch: a slip threshold moves by less than 3 %."""
 MOST_ERROR_MM = 3.0  # a tenth of the dome's radius: the gel then shows another place
+LIMITS_MM = (ALLOWED_ERROR_MM, MOST_ERROR_MM)  # along x and across it, up to which nothing is cut
+MOST_CUTS = 6  # again, of parts that pads touch wrongly
 STEPS = ("reading", "cutting into convex parts", "trying the suggested grasps")
-NO_NAMES = {"textured", "nontextured", "model", "mesh", "object", "meshes", "untitled"}
+NO_NAMES = {
+    *("textured", "nontextured", "textured_simple", "model", "mesh", "object", "meshes"),
+    *("untitled", "urdf", "visual", "collision", "google_16k", "google_64k", "google_512k"),
+    *("poisson", "tsdf", "clouds"),
+}
 
 
 @dataclass(frozen=True, slots=True)
 class AddedObject:
-    """The new object and what its maker should know."""
+    """The new object and what its maker should know.
+
+    ``toppled_from`` is the surface as its file had it, where it has been rested.
+    """
 
     object: GraspObject
     notes: tuple[str, ...]
+    toppled_from: Mesh | None = None
 
 
 def add_object(
     mesh_path: Path,
     *,
     mass_kg: float,
-    scale: float = 1.0,
+    scale: float | None = None,
     name: str | None = None,
     friction: float = DEFAULT_FRICTION,
     up: str | None = None,
@@ -84,20 +99,18 @@ def add_object(
     on_step(STEPS[0])
     surface, notes = import_surface(mesh_path, scale=scale, up=up)
     notes += _check_density(mesh_path, surface, mass_kg)
-    turn = None if keep_pose else toppled(surface)
+    center_mm, _ = mass_properties([(surface, 1.0)], mass_kg)
+    turn = None if keep_pose else toppled(surface.vertices_mm, center_mm)
+    given = None if turn is None else surface
     if turn is not None:
         surface = placed(surface, turn)
         notes.insert(0, _rest_note(turn))
     yaw_rad, surface, yaw_notes = _turned(surface, yaw_rad)
     ranges, range_notes = suggest_ranges(surface, mass_kg=mass_kg, friction=friction)
     on_step(STEPS[1])
-    for k, parts in enumerate(convex_parts(surface)):
-        off_mm = touch_error_mm(surface, parts, ranges)
-        # The finest cut has too many parts for what is only a little better.
-        if off_mm.max() <= (ALLOWED_ERROR_MM if k == 0 else MOST_ERROR_MM):
-            break
-    if off_mm.max() > MOST_ERROR_MM:
-        notes.insert(0, _touch_note(off_mm, parts) + ": expect other slip thresholds there")
+    parts, errors = _cut(surface, ranges)
+    ranges, off_notes = _without_places_far_off(mesh_path, ranges, errors)
+    range_notes += off_notes
     on_step(STEPS[2])
     properties = mass_properties([(surface, 1.0)], mass_kg)
     ranges, tried = executed_ranges(
@@ -122,9 +135,59 @@ def add_object(
     notes += range_notes
     if note := facet_note(surface):
         notes.append(note)
-    if off_mm.max() <= MOST_ERROR_MM:
-        notes.append(_touch_note(off_mm, parts))
-    return AddedObject(load_object(folder), tuple(notes))
+    places = set(itertools.product(ranges["y_mm"], ranges["z_mm"]))
+    if kept := [error for error in errors if (error.y_mm, error.z_mm) in places]:
+        notes.append(_touch_note(touch_error_mm(kept), parts))
+    return AddedObject(load_object(folder), tuple(notes), given)
+
+
+def _cut(
+    surface: Mesh, ranges: Mapping[str, tuple[float, ...]]
+) -> tuple[tuple[Mesh, ...], list[TouchError]]:
+    """Convex parts, cut finer where pads would touch them elsewhere than the surface; the errors.
+
+    Errors in the plane of the pad do not count up to ``MOST_ERROR_MM``: on a flat face a wave of
+    0.1 mm moves the first touch by 2 mm.
+    """
+    cuts = []
+    for concavity in CONCAVITIES:
+        parts = convex_parts(surface, concavity)
+        errors = touch_errors(surface, parts, ranges)
+        for _ in range(MOST_CUTS):
+            which = {error.part for error in errors if (error.off_mm > LIMITS_MM).any()}
+            if not which or len(finer := cut_again(surface, parts, which)) == len(parts):
+                break
+            parts, errors = finer, touch_errors(surface, finer, ranges)
+        cuts.append((parts, errors))
+        if (touch_error_mm(errors) <= LIMITS_MM).all():
+            break
+    return min(cuts, key=lambda cut: float((touch_error_mm(cut[1]) / LIMITS_MM).max()))
+
+
+def _without_places_far_off(
+    mesh_path: Path, ranges: Mapping[str, tuple[float, ...]], errors: Sequence[TouchError]
+) -> tuple[dict[str, tuple[float, ...]], list[str]]:
+    """The ranges without places where pads touch more than ``MOST_ERROR_MM`` off, and notes.
+
+    Raises ``ObjectError`` if no place is left.
+    """
+    bad = {(error.y_mm, error.z_mm) for error in errors if error.most_mm > MOST_ERROR_MM}
+    if not bad:
+        return dict(ranges), []
+    off_mm = touch_error_mm(errors).max()
+    kept = largest_grid(ranges, bad)
+    if kept is None:
+        msg = (
+            f"{mesh_path}: wherever pads would touch it its convex parts are off by up to "
+            f"{off_mm:.1f} mm, more than {MOST_ERROR_MM:g} mm; give another --yaw or --up, or "
+            "simplify the mesh"
+        )
+        raise ObjectError(msg)
+    note = (
+        f"{len(bad)} places at which pads would touch its convex parts up to {off_mm:.1f} mm off "
+        "are not suggested"
+    )
+    return kept, [note]
 
 
 def _turned(surface: Mesh, yaw_rad: float | None) -> tuple[float, Mesh, list[str]]:
@@ -151,12 +214,11 @@ def _turned(surface: Mesh, yaw_rad: float | None) -> tuple[float, Mesh, list[str
 
 
 def _rest_note(turn: NDArray[np.float64]) -> str:
-    angle_deg = np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1.0, 1.0)))
     axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
     axis = axis / max(float(np.linalg.norm(axis)), 1e-12)
     return (
         "its centre of mass is not over what it stands on: rested as it topples, turned by "
-        f"{angle_deg:.0f}° about ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f}); look at its "
+        f"{angle_deg(turn):.0f}° about ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f}); look at its "
         "picture, --keep-pose keeps the mesh's own pose"
     )
 
@@ -171,12 +233,16 @@ def _touch_note(off_mm: FloatArray, parts: tuple[Mesh, ...]) -> str:
 
 
 def object_name(mesh_path: Path) -> str:
-    """A folder name from a file name; raises ``ObjectError`` where that says nothing."""
-    stem = re.sub(r"[^A-Za-z0-9]+", "_", mesh_path.stem).strip("_").lower()
-    if not stem or stem in NO_NAMES:
-        msg = f"{mesh_path}: its file name is no name for an object; pass --name"
-        raise ObjectError(msg)
-    return stem
+    """A folder name from a file name, or from its folder's where that says nothing.
+
+    Raises ``ObjectError`` where neither does.
+    """
+    for text in (mesh_path.stem, mesh_path.parent.name):
+        stem = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_").lower()
+        if stem and stem not in NO_NAMES:
+            return stem
+    msg = f"{mesh_path}: its file name is no name for an object; pass --name"
+    raise ObjectError(msg)
 
 
 def describe(
@@ -224,7 +290,7 @@ def describe(
 def _check_arguments(
     name: str,
     mass_kg: float,
-    scale: float,
+    scale: float | None,
     friction: float,
     up: str | None,
     yaw_rad: float | None,
@@ -236,7 +302,7 @@ def _check_arguments(
         )
     if not (np.isfinite(mass_kg) and mass_kg > 0):
         problems.append(f"--mass {mass_kg:g} is not above 0; weigh the object and give kg")
-    if not (np.isfinite(scale) and scale > 0):
+    if scale is not None and not (np.isfinite(scale) and scale > 0):
         problems.append(f"--scale {scale:g} is not above 0; give mm per unit of the mesh")
     if not (np.isfinite(friction) and 0 <= friction <= 2):
         problems.append(f"--friction {friction:g} is not in 0 to 2; give a Coulomb coefficient")

@@ -1,6 +1,8 @@
 """Grasp ranges for an object about which no more is known than its shape, mass and friction."""
 
-from collections.abc import Iterable, Mapping, Sequence
+import itertools
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import trimesh
@@ -115,23 +117,56 @@ def graspable(surface: Mesh, y_mm: float, z_mm: float) -> bool:
     return bool(np.isfinite(reach).all() and sum(reach) <= widest_mm)
 
 
-def touch_error_mm(
-    surface: Mesh, parts: Sequence[Mesh], ranges: Mapping[str, tuple[float, ...]]
-) -> FloatArray:
-    """The most (2,) by which domed pads touch the parts elsewhere than the surface.
+@dataclass(frozen=True, slots=True)
+class TouchError:
+    """By how much a domed pad at a place touches the convex parts elsewhere than the surface.
 
-    Along x, and across it in the plane of the pad; over all of ``ranges``, from both sides.
+    ``off_mm`` (2,) is along x, and across it in the plane of the pad; ``part`` is the part touched.
     """
+
+    y_mm: float
+    z_mm: float
+    off_mm: FloatArray
+    part: int
+
+    @property
+    def most_mm(self) -> float:
+        """The larger of the two."""
+        return float(self.off_mm.max())
+
+
+def touch_errors(
+    surface: Mesh, parts: Sequence[Mesh], ranges: Mapping[str, tuple[float, ...]]
+) -> list[TouchError]:
+    """The errors at all places of ``ranges`` at which both pads meet the surface, on each side."""
     parts = [_as_collided(part) for part in parts]
-    errors = [
-        np.abs(_touch_mm((surface,), azimuth, y, z) - _touch_mm(parts, azimuth, y, z))
-        for azimuth in (0.0, 180.0)
-        for y in ranges["y_mm"]
-        for z in ranges["z_mm"]
-        if graspable(surface, y, z)
-    ]
-    along, *across = np.max(errors or [np.zeros(3)], axis=0)
-    return np.array([along, np.hypot(*across)])
+    found = []
+    for y, z in itertools.product(ranges["y_mm"], ranges["z_mm"]):
+        for azimuth_deg in (0.0, 180.0) if graspable(surface, y, z) else ():
+            true_mm, _ = _touch_mm((surface,), azimuth_deg, y, z)
+            touched_mm, part = _touch_mm(parts, azimuth_deg, y, z)
+            along, right, up = np.abs(true_mm - touched_mm)
+            found.append(TouchError(y, z, np.array([along, np.hypot(right, up)]), part))
+    return found
+
+
+def touch_error_mm(errors: Iterable[TouchError]) -> FloatArray:
+    """The most (2,) of the errors, along x and across it."""
+    return np.asarray(np.max([error.off_mm for error in errors] or [np.zeros(2)], axis=0))
+
+
+def largest_grid(
+    ranges: Mapping[str, tuple[float, ...]], bad: Collection[tuple[float, float]]
+) -> dict[str, tuple[float, ...]] | None:
+    """The ranges with the most places (y, z) of which none is ``bad``; None if all are."""
+    z_mm = ranges["z_mm"]
+    grids = []
+    for size in range(len(z_mm), 0, -1):
+        for heights in itertools.combinations(z_mm, size):
+            sides = tuple(y for y in ranges["y_mm"] if not {(y, z) for z in heights} & set(bad))
+            grids.append((sides, heights))
+    y_mm, z_mm = max(grids, key=lambda grid: len(grid[0]) * len(grid[1]))
+    return {**ranges, "y_mm": y_mm, "z_mm": z_mm} if y_mm else None
 
 
 def _as_collided(part: Mesh) -> Mesh:
@@ -143,15 +178,17 @@ def _as_collided(part: Mesh) -> Mesh:
     return Mesh(sphere.vertices + ball[0], np.asarray(sphere.faces, np.int32))
 
 
-def _touch_mm(meshes: Sequence[Mesh], azimuth_deg: float, y_mm: float, z_mm: float) -> FloatArray:
-    """Where a domed pad first touches (3,): towards it, and to the right and up in its plane."""
-    depth = np.max([_pad_view(m, azimuth_deg, y_mm, z_mm, TOUCH_RASTER_MM) for m in meshes], axis=0)
-    rows, columns = depth.shape
+def _touch_mm(
+    meshes: Sequence[Mesh], azimuth_deg: float, y_mm: float, z_mm: float
+) -> tuple[FloatArray, int]:
+    """Where a domed pad first touches (3,): towards it, to the right and up in its plane; whom."""
+    views = np.array([_pad_view(m, azimuth_deg, y_mm, z_mm, TOUCH_RASTER_MM) for m in meshes])
+    _, rows, columns = views.shape
     up = ((rows - 1) / 2 - np.arange(rows)[:, None]) * TOUCH_RASTER_MM
     right = (np.arange(columns) - (columns - 1) / 2) * TOUCH_RASTER_MM
-    reach = depth - (up**2 + right**2) / (2 * DOME_RADIUS_MM)
-    row, column = np.unravel_index(np.argmax(reach), reach.shape)
-    return np.array([reach[row, column], right[column], up[row, 0]])
+    reach = views - (up**2 + right**2) / (2 * DOME_RADIUS_MM)
+    which, row, column = np.unravel_index(np.argmax(reach), reach.shape)
+    return np.array([reach[which, row, column], right[column], up[row, 0]]), int(which)
 
 
 def _pad_view(

@@ -50,7 +50,10 @@ def read_meshes(path: Path, scale_mm: float) -> tuple[Mesh, ...]:
                 _checked(path, file[f"vertices_{i}"] * scale_mm, file[f"faces_{i}"])
                 for i in range(count)
             )
-    except (ValueError, KeyError, TypeError, OSError, EOFError, zipfile.BadZipFile) as error:
+    except (
+        *(ValueError, KeyError, TypeError, OverflowError, OSError, EOFError),
+        zipfile.BadZipFile,
+    ) as error:
         msg = f"{path}: cannot be read: {error}; import it anew with `tacgen objects add --force`"
         raise ObjectError(msg) from None
 

@@ -1,12 +1,10 @@
-"""A user's mesh file as a closed surface in mm, standing at the origin, and its convex parts."""
+"""A user's mesh file as a closed surface in mm, standing at the origin."""
 
 import io
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import coacd
 import manifold3d
 import numpy as np
 import trimesh
@@ -16,12 +14,19 @@ from scipy.spatial import ConvexHull
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import ObjectError
 from tacgen.core.records import Mesh, frozen_array
+from tacgen.objects.healing import Healed, heal
 from tacgen.objects.load import MAX_FILE_BYTES
-from tacgen.objects.meshes import from_manifold, hull, to_manifold, volume_mm3
+from tacgen.objects.meshes import (
+    from_manifold,
+    mass_properties,
+    to_manifold,
+    volume_mm3,
+)
+from tacgen.objects.urdf import read_urdf
 from tacgen.physics.gripper import default_gripper
 
 UP_AXES = ("x", "y", "z")
-FORMATS = ("obj", "stl", "ply", "glb")
+FORMATS = ("obj", "stl", "ply", "glb", "urdf")
 SMALLEST_MM, LARGEST_MM = 2.0, 1000.0
 MAX_TRIANGLES = 2_000_000  # limits the time and memory of the import
 MANY_TRIANGLES = 200_000  # from here on frames become slower
@@ -29,32 +34,27 @@ MAX_LINE_BYTES = 1 << 16  # of a text mesh: a face with thousands of corners
 MAX_INSTANCES = 10_000  # of meshes in a GLB; each takes a tenth of a millisecond and a copy
 MERGE_MM = 1e-5  # corners within it are one: roundoff of single precision at 100 mm
 SLIVER_SHARE = 1e-6  # of the largest body's volume: smaller bodies are roundoff
-MAX_HOLE_SHARE = 0.6  # a hole is filled if its rim is at most this share of the mesh's diagonal
-MAX_PARTS = 24  # PyBullet's time a step grows with the parts
-MAX_PART_VERTICES = 512  # a cylinder's 256 sections; a grasp takes 0.15 s, with 128 vertices 0.12
-ELEVATIONS_DEG = (-85.0, -55.0, -30.0, -10.0, 10.0, 30.0, 55.0, 85.0)
-"""Where a hull is thinned. None at 0, so that a round side ends in an upright facet at its widest;
-the outermost near 90, so that a round bottom stands on a small facet."""
-DETAIL_MM = 0.2  # finest detail that the search for cuts between convex parts sees
-MOST_TO_CUT = 4000  # triangles that the search sees: its time grows with them
-CONVEX_SHARE = 0.01  # of its volume that a convex mesh may lack: roundoff, engraving, dimples
-CONCAVITIES = (0.05, 0.02, 0.01)
-"""CoACD's threshold, from a coarse to a fine cut: concavity left, as a share of the size."""
 
 
 def import_surface(
-    path: Path, *, scale: float = 1.0, up: str | None = None
+    path: Path, *, scale: float | None = None, up: str | None = None
 ) -> tuple[Mesh, list[str]]:
     """Read, check, repair and place a mesh: the closed surface, and notes on what was done.
 
-    ``scale`` is the mm that one unit of the file stands for, 1000 for a mesh in metres; ``up`` the
-    file's axis that points up: by default y in a GLB, as glTF has it, and z elsewhere.
+    ``scale`` is the mm that one unit of the file stands for: by default 1000 in a URDF, which is in
+    metres, and 1 elsewhere; ``up`` the file's axis that points up: by default y in a GLB, as glTF
+    has it, and z elsewhere.
 
     Raises ``ObjectError`` if it is not a closed surface of a size that a gripper can hold, after
     what can safely be repaired; the message says how to fix it.
     """
-    path = Path(path)
-    loaded = _read(path)
+    path, notes = Path(path), list[str]()
+    if path.suffix.lower() == ".urdf" and path.is_file():
+        loaded, notes = read_urdf(path, _read)
+    else:
+        loaded = _read(path)
+    if scale is None:
+        scale = 1000.0 if path.suffix.lower() == ".urdf" else 1.0
     vertices, faces = np.asarray(loaded.vertices, dtype=np.float64), np.asarray(loaded.faces)
     _check_numbers(path, vertices, faces)
     # What no triangle uses may lie anywhere, beyond any number that can be worked with too.
@@ -64,7 +64,8 @@ def import_surface(
     # A cyclic change of axes, which mirrors nothing, turns the file's `up` to z.
     vertices = np.roll(vertices, {"x": -1, "y": 1, "z": 0}[up], axis=1)
     _check_size(path, vertices, scale)
-    mesh, notes = _closed(path, vertices, faces)
+    mesh, about = _closed(path, vertices, faces)
+    notes += about
     if len(mesh.faces) > MANY_TRIANGLES:
         notes.append(
             f"{len(mesh.faces)} triangles: frames take longer than with up to {MANY_TRIANGLES}; "
@@ -74,14 +75,18 @@ def import_surface(
 
 
 def meshes_in(path: Path) -> list[Path]:
-    """The mesh itself, or the mesh files of a folder by name; an ``ObjectError`` if it has none."""
+    """The mesh itself, or the mesh files of a folder by name, or else those of its folders.
+
+    Raises ``ObjectError`` if a folder has none.
+    """
     if not path.is_dir():
         return [path]
-    found = sorted(one for one in path.iterdir() if one.suffix.lower().lstrip(".") in FORMATS)
-    if not found:
-        msg = f"{path}: holds no mesh file; give one with {', '.join(FORMATS)}"
-        raise ObjectError(msg)
-    return found
+    for files in (path.iterdir(), path.rglob("*")):
+        found = sorted(one for one in files if one.suffix.lower().lstrip(".") in FORMATS)
+        if found:
+            return found
+    msg = f"{path}: holds no mesh file; give one with {', '.join(FORMATS)}"
+    raise ObjectError(msg)
 
 
 def placed(mesh: Mesh, rotation: FloatArray | None = None) -> Mesh:
@@ -97,7 +102,7 @@ def _read(path: Path) -> trimesh.Trimesh:
     problem = ""
     if not path.is_file():
         problem = "no such file; give a mesh file"
-    elif kind not in FORMATS:
+    elif kind not in FORMATS or kind == "urdf":
         problem = f"not a mesh tacgen reads; give one of {', '.join(FORMATS)}"
     elif path.stat().st_size > MAX_FILE_BYTES:
         problem = f"larger than {MAX_FILE_BYTES >> 20} MiB; simplify the mesh first"
@@ -212,30 +217,42 @@ def _closed(
 
     Corners are merged, never moved: a sliver stays, as taking it out would open the surface.
     """
-    notes = []
     vertices_mm, faces = _merged(vertices_mm, faces)
     if len(faces) == 0:
         msg = f"{path}: holds no triangle that is more than a line; export it anew"
         raise ObjectError(msg)
-    whole = to_manifold(Mesh(vertices_mm, faces))
+    whole, healed = to_manifold(Mesh(vertices_mm, faces)), None
     if whole.status() != manifold3d.Error.NoError:
-        surface = trimesh.Trimesh(vertices_mm, faces, process=False)
-        surface.update_faces(surface.unique_faces())
-        if not surface.is_winding_consistent:
-            trimesh.repair.fix_winding(surface)
-            notes.append("faces turned to agree with their neighbours")
-        filled, longest_mm = _fill_small_holes(surface)
-        if filled:
-            notes.append(
-                f"{filled} hole(s) filled, the largest with a rim of {longest_mm:.1f} mm: the "
-                "surface there is not the object's"
-            )
-        whole = to_manifold(Mesh(np.array(surface.vertices), np.array(surface.faces)))
-        if whole.status() != manifold3d.Error.NoError:
-            raise ObjectError(_open_problem(path, surface))
-    mesh, about = _around_bodies(path, whole)
+        healed = heal(vertices_mm, faces)
+        if healed.problem:
+            msg = f"{path}: {healed.problem}"
+            raise ObjectError(msg)
+        whole = to_manifold(healed.mesh)
+    mesh, notes = _around_bodies(path, whole)
     # The file keeps single precision: what is computed is computed from that.
-    return Mesh(frozen_array(mesh.vertices_mm.astype(np.float32)), mesh.faces), notes + about
+    mesh = Mesh(frozen_array(mesh.vertices_mm.astype(np.float32)), mesh.faces)
+    return mesh, _healing_notes(healed, Mesh(vertices_mm, faces), mesh) + notes
+
+
+def _healing_notes(healed: Healed | None, given: Mesh, closed: Mesh) -> list[str]:
+    """What was changed, and by how much: volume and centre of mass."""
+    if healed is None:
+        return []
+    notes = ["faces turned to agree with their neighbours"] if healed.turned else []
+    if healed.rims:
+        # Of faces that are not closed, about the middle of the whole.
+        middle = given.vertices_mm.min(axis=0) / 2 + given.vertices_mm.max(axis=0) / 2
+        centered = Mesh(given.vertices_mm - middle, given.faces)
+        volumes = volume_mm3(centered), volume_mm3(closed)
+        moved = mass_properties([(closed, 1.0)], 1.0)[0] - middle
+        moved -= mass_properties([(centered, 1.0)], 1.0)[0]
+        notes.append(
+            f"{healed.rims} hole(s) or cracks filled, the largest with a rim of "
+            f"{healed.longest_rim_mm:.1f} mm; {100 * healed.invented:.2g} % of the surface is not "
+            f"the object's; volume {abs(volumes[0]) / 1000:.4g} → {volumes[1] / 1000:.4g} cm³, "
+            f"centre of mass moved by {np.linalg.norm(moved):.2g} mm"
+        )
+    return notes
 
 
 def _merged(
@@ -249,15 +266,6 @@ def _merged(
     corners = corners[(a != b) & (b != c) & (c != a)]
     used, corners = np.unique(corners, return_inverse=True)
     return vertices_mm[first[used]], corners.reshape(-1, 3)
-
-
-def _open_problem(path: Path, surface: trimesh.Trimesh) -> str:
-    _, counts = np.unique(surface.edges_sorted, axis=0, return_counts=True)
-    return (
-        f"{path}: is not a closed surface: {int((counts == 1).sum())} open edges and "
-        f"{int((counts > 2).sum())} edges with more than two faces; close it, for instance by "
-        "MeshLab's `Close Holes` or Blender's `3D Print Toolbox: Make Manifold`"
-    )
 
 
 def _around_bodies(path: Path, whole: manifold3d.Manifold) -> tuple[Mesh, list[str]]:
@@ -313,93 +321,3 @@ def _is_inside(body: manifold3d.Manifold, other: manifold3d.Manifold) -> bool:
     if (low[0] < high[0]).any() or (low[1] > high[1]).any():
         return False
     return bool((body - other).volume() <= SLIVER_SHARE * body.volume())
-
-
-def _fill_small_holes(surface: trimesh.Trimesh) -> tuple[int, float]:
-    """Close holes with short rims by a fan, in place: how many, and the longest rim, mm."""
-    limit_mm = MAX_HOLE_SHARE * float(np.linalg.norm(surface.extents))
-    longest_mm = 0.0
-    open_edges = trimesh.grouping.group_rows(surface.edges_sorted, require_count=1)
-    if len(open_edges) == 0:
-        return 0, 0.0
-    # An open edge runs one way round its hole; the fan's face runs the other way.
-    follow = {int(end): int(start) for start, end in surface.edges[open_edges]}
-    vertices, faces, filled = surface.vertices.tolist(), surface.faces.tolist(), 0
-    while follow:
-        start, at = follow.popitem()
-        rim = [start, at]
-        while at != start and at in follow:
-            at = follow.pop(at)
-            rim.append(at)
-        rim = rim[:-1]
-        points = surface.vertices[rim]
-        length_mm = float(np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1).sum())
-        if at != start or len(rim) < 3 or length_mm > limit_mm:
-            continue
-        vertices.append(points.mean(axis=0).tolist())
-        middle = len(vertices) - 1
-        faces += [[rim[i], rim[(i + 1) % len(rim)], middle] for i in range(len(rim))]
-        filled, longest_mm = filled + 1, max(longest_mm, length_mm)
-    surface.vertices, surface.faces = np.array(vertices), np.array(faces)
-    return filled, longest_mm
-
-
-def convex_parts(surface: Mesh) -> Iterator[tuple[Mesh, ...]]:
-    """Convex hulls that follow ``surface``, from few to at most ``MAX_PARTS``.
-
-    A convex surface has its own hull. CoACD only finds where to cut others: a part is the hull of
-    its cut faces and of all the surface's vertices within it.
-
-    Source: Wei et al. 2022, Approximate Convex Decomposition for 3D Meshes with
-    Collision-Aware Concavity and Tree Search.
-    """
-    if volume_mm3(hull(surface.vertices_mm)) <= (1 + CONVEX_SHARE) * volume_mm3(surface):
-        yield (_even_hull(surface.vertices_mm),)
-        return
-    coacd.set_log_level("error")
-    # The search's time grows with the triangles.
-    tolerance_mm, whole = DETAIL_MM, to_manifold(surface)
-    while (coarse_solid := whole.simplify(tolerance_mm)).num_tri() > MOST_TO_CUT:
-        tolerance_mm *= 1.5
-    coarse = from_manifold(coarse_solid)
-    for concavity in CONCAVITIES:
-        parts = coacd.run_coacd(
-            coacd.Mesh(np.array(coarse.vertices_mm), np.array(coarse.faces)),
-            threshold=concavity,
-            max_convex_hull=MAX_PARTS,
-            mcts_iterations=100,
-            mcts_nodes=15,
-            seed=0,
-        )
-        yield tuple(_detailed(vertices, surface) for vertices, _ in parts)
-
-
-def _detailed(part_mm: NDArray[np.float64], surface: Mesh) -> Mesh:
-    """The hull of a part cut from the coarse surface, with the vertices of ``surface`` in it."""
-    low, high = part_mm.min(axis=0) - DETAIL_MM, part_mm.max(axis=0) + DETAIL_MM
-    points = surface.vertices_mm
-    points = points[((points >= low) & (points <= high)).all(axis=1)]
-    for *normal, offset in ConvexHull(part_mm).equations:
-        points = points[points @ np.array(normal) + offset <= DETAIL_MM]
-    return _even_hull(np.concatenate([part_mm, points]))
-
-
-def _even_hull(points_mm: NDArray[np.float64]) -> Mesh:
-    """The hull of points (n, 3), of at most ``MAX_PART_VERTICES`` of them.
-
-    Where there are more, those stay that reach farthest in directions evenly around z, as many as
-    possible and the same above and below: pads meet it alike on both sides, at any yaw. A collapse
-    of edges would leave them touching it off axis.
-    """
-    corners_mm = kept = hull(points_mm).vertices_mm
-    around = MAX_PART_VERTICES
-    while len(kept) > MAX_PART_VERTICES:
-        around //= 2
-        azimuths = (np.arange(around) + 0.5) * 2 * np.pi / around
-        farthest = {
-            int(np.argmax(corners_mm @ [np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)]))
-            for e in np.radians(ELEVATIONS_DEG)
-            for a in azimuths
-        }
-        kept = corners_mm[sorted(farthest)]
-    return hull(kept)

@@ -8,21 +8,28 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from tacgen.core.files import atomic_path
-from tacgen.core.records import GraspObject
+from tacgen.core.records import GraspObject, Mesh
 from tacgen.objects.shading import depth_view, shaded_view, view_axes
 
 WINDOW_PX, MM_PER_PX = (480, 640), 0.0295  # the window of the default sensor
 VIEWS = (("from the front", 35.0, 25.0), ("as the pad comes", 0.0, 0.0), ("from above", 0.0, 89.9))
+TOPPLES = ("as its file has it, from which it topples", 35.0, 10.0)
 
 
-def write_picture(obj: GraspObject, path: Path) -> None:
-    """Write a PNG: three views of the object and the relief at three of its grasps."""
+def write_picture(obj: GraspObject, path: Path, toppled_from: Mesh | None = None) -> None:
+    """Write a PNG: three views of the object and the relief at three of its grasps.
+
+    ``toppled_from`` is the surface as its file had it, if it has been rested since.
+    """
     figure = Figure(figsize=(11.0, 7.0), layout="constrained")
     canvas = FigureCanvasAgg(figure)
     axes = figure.subplots(2, 3)
     for axis, (title, azimuth, elevation) in zip(axes[0], VIEWS, strict=True):
+        surface = obj.surface
+        if axis is axes[0, -1] and toppled_from is not None:
+            surface, (title, azimuth, elevation) = toppled_from, TOPPLES
         axis.imshow(
-            shaded_view(obj.surface, obj.color_rgb, azimuth_deg=azimuth, elevation_deg=elevation)
+            shaded_view(surface, obj.color_rgb, azimuth_deg=azimuth, elevation_deg=elevation)
         )
         axis.set_title(title)
         axis.set_axis_off()

@@ -113,6 +113,16 @@ class LookupTable:
             return Response(self.response, self.max_slope_rad, self.contact)
         return Quadratic(self.coefficients, self.max_slope_rad, self.interpolation)
 
+    @property
+    def origin(self) -> str:
+        """What its colours come from, in a few words: real presses, or a virtual sensor."""
+        known = self.provenance
+        if "source" in known:
+            return str(known["source"])
+        if "n_presses" in known:
+            return f"{known['n_presses']} ball presses ({known.get('made_by', 'tacgen')})"
+        return "not recorded" if self.sensor != "taxim" else "a Taxim calibration, imported"
+
     def __post_init__(self) -> None:
         problems = []
         if self.coefficients.ndim != 4 or self.coefficients.shape[2:] != (3, N_FEATURES):
@@ -138,7 +148,7 @@ class LookupTable:
 
 
 PositiveFinite = Annotated[FiniteFloat, Field(gt=0)]
-MAX_TABLE_BYTES = 1 << 30  # of its arrays, unpacked; a table has some megabytes
+MAX_TABLE_BYTES = 1 << 28  # of its arrays, unpacked; a table has some megabytes
 
 
 class _ContactHeader(Section):

@@ -44,6 +44,7 @@ from tacgen.physics.margins import (
 )
 from tacgen.physics.reach import within_reach
 from tacgen.physics.recorder import Recorder, frame_end_steps, frame_of_moment
+from tacgen.physics.rest import topples_deg
 from tacgen.physics.robots import RobotSpec, load_robot
 from tacgen.physics.settings import (
     EngineChoice,
@@ -129,8 +130,8 @@ def run_grasp(
     published k_n. An object's own ``spinning_friction_mm`` replaces either. With ``keeps_past``
     each frame has the load before it, for a gel that remembers it.
 
-    A grasp that cannot be executed has the status ``unreachable`` or ``no_contact``, a reason,
-    the label −1 and no frames.
+    A grasp that cannot be executed has the status ``toppled`` (the object does not stand as its
+    rest pose says), ``unreachable`` or ``no_contact``, a reason, the label −1 and no frames.
 
     Raises ``PhysicsError`` if the force is not one the gripper can be asked for, or the simulator
     has another engine than ``settings``.
@@ -191,6 +192,12 @@ class _Grasp:
     def run(self) -> GraspTrace:
         """Approach, close, hold, lift, label."""
         settings = self.settings
+        if fall_deg := topples_deg(self.obj):
+            return self._not_executed(
+                "toppled",
+                f"the object topples by {fall_deg:.0f}° before the grasp: its centre of mass is "
+                "not over what it stands on; rest its mesh, or correct its center_of_mass_mm",
+            )
         target = grasp_target(self.config, settings)
         reason = approach(self.world, self.robot, self.gripper, self.obj, target, settings)
         reason = reason or self.robot.prepare_lift(settings.lift_mm * M_PER_MM)

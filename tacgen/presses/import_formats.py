@@ -3,6 +3,7 @@
 A press folder holds ``background.png``, one image a press, ``presses.csv`` and ``sensor.yaml``.
 """
 
+import contextlib
 import json
 import re
 from collections import Counter
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.core.columns import csv_problem
 from tacgen.core.errors import PressError
-from tacgen.core.files import atomic_folder
+from tacgen.core.files import atomic_folder, is_file, read_small_text
 from tacgen.core.images import encode_png
 from tacgen.core.optional_dependencies import require_extra
 from tacgen.core.progress import print_status
@@ -30,6 +31,7 @@ from tacgen.presses.press_folder import COORDINATES, STAGE
 
 GS_SDK_MM_PER_PX = 0.0634
 """GelSight Mini at 320 × 240 px, from gs_sdk's ``gsmini.yaml`` (called ``ppmm`` there)."""
+MAX_ABOUT_BYTES = 1 << 20  # of a file with a few numbers
 MAX_BACKGROUND_PICTURES = 101
 """Pictures whose median stands in for a background: more change no grey level."""
 LABEL_OFF = 0.2
@@ -135,14 +137,15 @@ def read_gs_sdk(source: Path, mm_per_px: float | None, ball_radius_mm: float | N
     in ``catalog.csv``, centre (x, y) and radius of the contact, px, in ``label.npz``.
     """
     catalog = _table(source / "catalog.csv", ("experiment_reldir", "diameter(mm)"))
+    diameters = _numbers(catalog, "diameter(mm)", source / "catalog.csv")
     others = [name for name in catalog if name not in ("diameter(mm)", "file", *COORDINATES)]
 
     def presses() -> Iterator[Press]:
-        for row in catalog.to_dict("records"):
-            folder = source / str(row["experiment_reldir"])
-            radius_mm = ball_radius_mm or float(row["diameter(mm)"]) / 2
+        for row, diameter in zip(catalog.to_dict("records"), diameters.tolist(), strict=True):
+            folder = _inside(source, row["experiment_reldir"])
+            radius_mm = ball_radius_mm or diameter / 2
             columns: dict[str, Any] = {"radius_mm": radius_mm}
-            if (folder / "label.npz").is_file():
+            if is_file(folder / "label.npz"):
                 columns |= dict(zip(COORDINATES, _gs_sdk_label(folder / "label.npz"), strict=True))
             columns |= {name: row[name] for name in others}
             name = str(row["experiment_reldir"]).replace("/", "_")
@@ -155,9 +158,10 @@ def read_gs_sdk(source: Path, mm_per_px: float | None, ball_radius_mm: float | N
 
 def _gs_sdk_label(path: Path) -> list[float]:
     try:
-        check_archive(path)
-        with np.load(path) as label:
-            return [float(value) for value in (*label["center"], label["radius"])]
+        check_archive(path, MAX_ABOUT_BYTES)
+        with np.load(path, allow_pickle=False) as label:
+            x, y = label["center"]
+            return [float(value) for value in (x, y, label["radius"])]
     except (OSError, ValueError, KeyError, TypeError) as error:
         msg = f"{path}: is no label of a circle (center, radius): {error}; delete it or label anew"
         raise PressError(msg) from None
@@ -199,7 +203,7 @@ def read_py3dcal(source: Path, mm_per_px: float | None, ball_radius_mm: float | 
     circle_px[usable] = contact_mm * known["px_per_mm"]
     background = _image(source / "blank_images" / "blank.png")
     circles = np.column_stack([named["x_px"], named["y_px"], circle_px])
-    paths = [source / "probe_images" / str(name) for name in table["img_name"]]
+    paths = [_inside(source / "probe_images", name) for name in table["img_name"]]
     wrong, note = _contradicted(circles, trial, paths, background)
     circles[wrong] = np.nan
     notes += [note] if note else []
@@ -341,7 +345,7 @@ def _parquet_columns(file: Path) -> pd.DataFrame:
             msg = f"{file}: no column {' and '.join(missing)}; this is not gelsight-mini-pretrain"
             raise PressError(msg)
         return pd.read_parquet(file, columns=[name for name in names if name != "image"])
-    except (OSError, pa.ArrowException) as error:
+    except (OSError, pa.ArrowException, ValueError, LookupError, TypeError) as error:
         msg = f"{file}: cannot be read as Parquet: {error}; fetch it anew"
         raise PressError(msg) from None
 
@@ -350,18 +354,27 @@ def _parquet_images(
     files: list[Path], rows: NDArray[Any]
 ) -> Iterator[tuple[int, NDArray[np.uint8]]]:
     """Pictures of some rows, counted through all files, in their order; few are held at once."""
-    import pyarrow.parquet as pq  # which _parquet_columns has asked for
-
     wanted, start = set(rows.tolist()), 0
     for file in files:
+        for batch in _parquet_batches(file):
+            for k in range(len(batch)):
+                if start + k in wanted:
+                    where = f"{file}: the image of row {start + k}"
+                    data = _encoded(batch.column(0)[k].as_py(), file.parent, where)
+                    yield start + k, decode_rgb(data, where, PressError, kind_of=str(file))
+            start += len(batch)
+
+
+def _parquet_batches(file: Path) -> Iterator[Any]:
+    import pyarrow as pa  # which _parquet_columns has asked for
+    import pyarrow.parquet as pq
+
+    try:
         with pq.ParquetFile(file) as parquet:
-            for batch in parquet.iter_batches(batch_size=32, columns=["image"]):
-                for k in range(len(batch)):
-                    if start + k in wanted:
-                        where = f"{file}: the image of row {start + k}"
-                        data = _encoded(batch.column(0)[k].as_py(), file.parent, where)
-                        yield start + k, decode_rgb(data, where, PressError, kind_of=str(file))
-                start += len(batch)
+            yield from parquet.iter_batches(batch_size=32, columns=["image"])
+    except (OSError, pa.ArrowException) as error:
+        msg = f"{file}: its pictures cannot be read: {error}; fetch it anew"
+        raise PressError(msg) from None
 
 
 def _encoded(value: Any, folder: Path, where: str) -> bytes:
@@ -369,10 +382,11 @@ def _encoded(value: Any, folder: Path, where: str) -> bytes:
     if isinstance(value, Mapping):
         path = value.get("path")
         value = value.get("bytes")
-        if value is None and path and (folder / path).is_file():
-            value = (folder / path).read_bytes()
+        if value is None and path and is_file(_inside(folder, path)):
+            value = _inside(folder, path).read_bytes()
     if isinstance(value, list):
-        value = bytes(value)
+        with contextlib.suppress(ValueError, TypeError):
+            value = bytes(value)
     if not isinstance(value, bytes) or not value:
         msg = f"{where} is missing; drop the row"
         raise PressError(msg)
@@ -460,6 +474,15 @@ PRESS_FORMATS: Mapping[str, Callable[[Path, float | None, float | None], PressSe
 }
 
 
+def _inside(folder: Path, name: object) -> Path:
+    """What ``name`` is in ``folder``; raises ``PressError`` where it leads out of it."""
+    path = Path(str(name))
+    if path.is_absolute() or ".." in path.parts:
+        msg = f"{folder}: {str(name)!r} leads out of it; name files of this set"
+        raise PressError(msg)
+    return folder / path
+
+
 def _table(path: Path, needed: tuple[str, ...]) -> pd.DataFrame:
     try:
         table = pd.read_csv(path, skipinitialspace=True)
@@ -470,12 +493,15 @@ def _table(path: Path, needed: tuple[str, ...]) -> pd.DataFrame:
     if missing:
         msg = f"{path}: no column {', '.join(missing)}; it has {', '.join(map(str, table))}"
         raise PressError(msg)
+    if not isinstance(table.index, pd.RangeIndex):
+        msg = f"{path}: its rows have more cells than its header; quote cells with commas"
+        raise PressError(msg)
     return table
 
 
 def _numbers(table: pd.DataFrame, name: str, where: Path) -> FloatArray:
     """A column (N,) of numbers, NaN where it is empty."""
-    values = pd.to_numeric(table[name], errors="coerce")
+    values = pd.to_numeric(table[name].astype(str), errors="coerce")
     wrong = values.isna() & table[name].notna()
     if wrong.any():
         row = int(np.argmax(wrong.to_numpy()))
@@ -486,15 +512,19 @@ def _numbers(table: pd.DataFrame, name: str, where: Path) -> FloatArray:
 
 def _json(path: Path, needed: tuple[str, ...]) -> dict[str, float]:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-        return {name: float(found[name]) for name in needed}
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        found = json.loads(read_small_text(path, MAX_ABOUT_BYTES))
+        numbers = {name: float(found[name]) for name in needed}
+        if not all(0 < number < np.inf for number in numbers.values()):
+            msg = "they must be positive"
+            raise ValueError(msg)
+        return numbers
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         msg = f"{path}: needs the numbers {', '.join(needed)}: {error}"
         raise PressError(msg) from None
 
 
 def _image(path: Path) -> NDArray[np.uint8]:
-    if not path.is_file():
+    if not is_file(path):
         msg = f"{path}: missing; restore it or drop its row"
         raise PressError(msg)
     return read_rgb(path, PressError)

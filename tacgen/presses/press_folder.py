@@ -160,7 +160,7 @@ def _read_datapack(
                 msg = f"{path}: not a Taxim dataPack: {', '.join(missing)} missing"
                 raise PressError(msg)
             arrays = {name: archive[name] for name in _DATAPACK}
-            names = _names_of(archive, len(arrays["imgs"]))
+            names = _names_of(archive, np.atleast_1d(arrays["imgs"]).shape[0])
     except (OSError, ValueError, BadZipFile) as error:
         fix = "arrays of Python objects can run code and are not read: save them as plain arrays"
         msg = f"{path}: cannot be read as a dataPack ({error}); {fix}"

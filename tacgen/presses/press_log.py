@@ -21,10 +21,12 @@ from tacgen.core.columns import PRESS_LOG, similar_columns
 from tacgen.core.errors import PressError
 from tacgen.core.files import sha256_of
 from tacgen.core.records import frozen_array
+from tacgen.core.units import GELS_K_N_MM3_PER_N, PUBLISHED_K_N_MM3_PER_N
 from tacgen.presses.geometry import ball_volume_mm3
 from tacgen.presses.independent_rows import independent_rows
 from tacgen.presses.lab_table import (
     FORCE_UNITS_N,
+    GAP_FACTOR,
     MAX_LISTED,
     Cells,
     LogFormat,
@@ -32,6 +34,7 @@ from tacgen.presses.lab_table import (
     parsed,
     read_log_table,
     split_header,
+    states_unit,
     trial_number_problems,
 )
 
@@ -49,32 +52,49 @@ measured beside them is as good as ever."""
 
 MAX_DROPPED_SHARE = 0.5  # of a log's samples: with more gone, what is left is not the session
 
+USUAL_SHARE, SPIKE_FACTOR = 0.99, 30.0
+"""Readings so many times beyond what this share of them is within are no readings."""
+
 MAX_WARNED = 5  # presses whose empty cells or gaps are spelled out
 
 MAX_PLAUSIBLE_FORCE_N = 100.0
 """Above what a gripper presses on a gel with: the WSG-50 ends at 80 N."""
 
-PLAUSIBLE_COMPLIANCE_MM3_PER_N = (0.15, 150.0)
-"""Published gels are between 1 and 10 mm³/N; an order of magnitude more."""
+READ_K_N_MM3_PER_N = (0.5 * GELS_K_N_MM3_PER_N[0], GELS_K_N_MM3_PER_N[1])
+"""What is read: laboratories press harder samples too, of 0.19 mm³/N."""
+DOUBTFUL_K_N_MM3_PER_N = (0.5, 30.0)
+"""Beyond these another unit is as likely as another gel: kgf for newtons makes 50 mm³/N of 5."""
+OTHER_UNITS = MappingProxyType(
+    {
+        "volume_mm3": {"cm3": 1e3, "m3": 1e9, "um3": 1e-9},
+        "depth_mm": {"m": 1e3, "cm": 10.0, "um": 1e-3},
+    }
+)
+"""That a response may be in, and mm³ or mm in one of each."""
+
 
 PLAUSIBLE_DEPTHS_MM = (0.02, 50.0)
 """What the deepest press can be: gels are 2 to 10 mm thick, and seen to give way from 0.02 mm."""
+POSITION_SHARE, POSITION_MM = 0.8, 5.0
+"""Depths that are all above this share of the largest, and it above this, are counted from
+elsewhere than the gel's surface."""
 
-LONGEST_PRESS_S, LATEST_CLOCK_S = 1e5, 1e10
-"""A press is no day long, and no clock in seconds is 300 years after 1970."""
+SHORTEST_PRESS_S, LONGEST_PRESS_S, LATEST_CLOCK_S = 0.01, 1e5, 1e10
+"""A press is no blink and no day long, and no clock in seconds is 300 years after 1970."""
 USUAL_PRESS_S = 5.0
 ODD_PRESS_S, ODD_STEP_S = 300.0, 1.0  # longer presses with rarer samples may be in ms
+
+REST_SHARE = 0.05  # of a press's samples, those with the least force: at rest
+HELD_SHARE = 0.7  # of the peak: a least force above it is a hold, or a gauge far from its zero
 
 SIGN_CORRELATION = 0.5  # of force and size of the response: beyond its negative, the sign is wrong
 SHUFFLED_SHARE = 0.1  # of a log's steps that go backwards in time: two presses under a number, few
 
-PUBLISHED_COMPLIANCE_MM3_PER_N = 5.0  # within the published range
 UNIT_WORDS = MappingProxyType({"n": "newtons", "mn": "millinewtons", "gf": "grams", "kgf": "kg"})
 
-OUTLIER_FACTOR = 25.0
-"""A trial this many times softer or stiffer than the median one was logged in another unit."""
-
-GAP_FACTOR = 25.0  # a step of the clock this many times the trial's median step is a gap
+OUTLIER_FACTOR = 8.0
+"""A trial this many times softer or stiffer than the median one was logged in another unit: kgf for
+newtons are 9.8 times less."""
 
 Columns = Mapping[str, NDArray[Any]]
 
@@ -164,12 +184,26 @@ def read_press_log(
     Raises ``PressError`` with every problem of the file at once: unreadable or empty, missing or
     doubled columns, cells that are not numbers, another unit or sign, most samples unusable.
     """
-    return press_log_of(read_log_table(Path(path), log_format), radius_mm=radius_mm)
+    log = press_log_of(read_log_table(Path(path), log_format), radius_mm=radius_mm)
+    if "volume_mm3" not in log:
+        msg = (
+            f"{path}: depth_mm suffices instead of volume_mm3 for a ball of known radius; give "
+            "--radius-mm, a column radius_mm, or volume_mm3"
+        )
+        raise PressError(msg)
+    return log
 
 
 def press_log_of(table: LogTable, *, radius_mm: float | None = None) -> PressLog:
-    """The press log in a table that is read already; as ``read_press_log``."""
+    """The press log in a table that is read already; as ``read_press_log``.
+
+    Depths may have no ``trial`` and no ``time_s``: their presses are parted by ``curve``, blank
+    lines or pauses of the clock, or are one. Those of a ball of unknown radius have no
+    ``volume_mm3``.
+    """
+    table = _with_presses(table)
     table.require("trial", "time_s", "force_normal_n", "volume_mm3 or depth_mm")
+    table, spikes = _without_spikes(table)
     path, numbers = table.path, table.numbers
     problems = [*table.problems, *trial_number_problems(numbers["trial"], path, table.rows)]
     PressError.raise_if(problems or value_problems(table))
@@ -180,35 +214,101 @@ def press_log_of(table: LogTable, *, radius_mm: float | None = None) -> PressLog
         for name, cells in table.cells.items()
     }
     columns["trial"] = trial[order]
-    notes = [*table.notes, *table.unclear, *([f"{path}: {moved}"] if moved else [])]
-    if "time_s" not in table.sure:
+    notes = [*table.notes, *table.unclear, *spikes, *([f"{path}: {moved}"] if moved else [])]
+    if "time_s" in table.headers and "time_s" not in table.sure:
         notes += _check_clock_unit(table, columns)
-    if "volume_mm3" not in columns:
-        columns |= _ball_volumes(columns, path, radius_mm)
-        notes.append(f"{path}: no volume_mm3: volumes are those of the ball at depth_mm")
+    of_depths, is_known = "volume_mm3" not in columns, True
+    if of_depths:
+        columns, is_known = _with_ball_volumes(columns, radius_mm)
     rows = table.rows[order]
-    if "force_normal_n" not in table.sure and (problem := _force_unit_problem(columns, path, rows)):
-        raise PressError(problem)
-    log = _checked(columns, path, rows)
+    if is_known and of_depths:
+        _check_ball(columns, path)
+        notes.append(f"{path}: no volume_mm3: volumes are those of the ball at depth_mm")
+    peak, compliance = typical_load(columns)
+    notes += compliance_doubts(compliance if is_known else math.nan, peak, table)
+    log = _checked(columns, path, rows, "depth_mm" if of_depths else "volume_mm3")
     similar = similar_columns(table.cells, PRESS_LOG, str(path))
     independent, found = independent_rows(log.columns)
     notes += [*similar, *log.warnings, *(f"{path}: {note}" for note in found)]
-    return replace(log.select(independent), warnings=tuple(notes))
+    log = log.select(independent)
+    if not is_known:
+        kept = {name: values for name, values in log.columns.items() if name != "volume_mm3"}
+        log = replace(log, columns=MappingProxyType(kept))
+    clock = log.session_clock and "time_s" in table.headers
+    return replace(log, warnings=tuple(notes), session_clock=clock)
 
 
-def _ball_volumes(columns: Columns, path: Path, radius_mm: float | None) -> dict[str, FloatArray]:
-    """Radius and volume (N,) of a ball at ``depth_mm``; negative depths are no contact."""
+def _without_spikes(table: LogTable) -> tuple[LogTable, list[str]]:
+    """NaN for readings that are no readings, such as -999 or 9999 N; a note where there are."""
+    numbers, notes = dict(table.numbers), []
+    for name in ("force_normal_n", "volume_mm3", "depth_mm"):
+        values = numbers.get(name, np.zeros(0))
+        known = np.isfinite(values)
+        usual = float(np.quantile(np.abs(values[known]), USUAL_SHARE)) if known.any() else 0.0
+        spikes = known & (np.abs(values) > SPIKE_FACTOR * usual)
+        if usual > 0 and spikes.any():
+            numbers[name] = np.where(spikes, np.nan, values)
+            notes.append(
+                f"{table.path}: {name} is {values[spikes][0]:.4g} in {spikes.sum()} samples, the "
+                f"others are within {usual:.3g}: taken as empty cells"
+            )
+    return replace(table, numbers=numbers), notes
+
+
+def _with_presses(table: LogTable) -> LogTable:
+    """A table of depths with a number for each press, and with rows as time where it has no clock.
+
+    A press log needs both from the file.
+    """
+    cells, numbers, notes = table.cells, dict(table.numbers), list(table.notes)
+    if "depth_mm" not in cells or "volume_mm3" in cells:
+        return table
+    count, path = len(table.rows), table.path
+    if "curve" in cells:
+        first = {name: k for k, name in enumerate(dict.fromkeys(cells["curve"]))}
+        numbers["trial"] = np.array([first[name] for name in cells["curve"]], dtype=np.float64)
+    elif "trial" not in cells:
+        by, number = next(iter(table.parted.items()), ("", np.zeros(count)))
+        numbers["trial"] = np.asarray(number, dtype=np.float64)
+        parts = f"{by} part its rows into {int(number[-1]) + 1}" if by else "all rows are one press"
+        notes.append(f"{path}: no column trial: {parts}")
+    if "time_s" not in cells:
+        numbers["time_s"] = np.arange(count, dtype=np.float64)
+        notes.append(
+            f"{path}: no column time_s: rows are taken in the file's order, one a second, so that "
+            "times of effects that a diagnosis finds are in rows"
+        )
+    added = {name: [f"{one:.0f}" for one in numbers[name]] for name in ("trial", "time_s")}
+    return replace(table, cells={**added, **cells}, numbers=numbers, notes=tuple(notes))
+
+
+def _with_ball_volumes(
+    columns: dict[str, NDArray[Any]], radius_mm: float | None
+) -> tuple[dict[str, NDArray[Any]], bool]:
+    """Columns with radius and volume (N,) of a ball at ``depth_mm``, and whether it is known.
+
+    Negative depths are no contact. The volume of an unknown ball is that of one of 1 mm.
+    """
     depth = columns["depth_mm"]
     radius = columns.get("radius_mm", np.full(len(depth), np.nan))
     if radius_mm is not None:
         radius = np.full(len(depth), radius_mm)
-    if not np.isfinite(radius[np.isfinite(depth)]).all():
+    is_known = bool((radius[np.isfinite(depth)] > 0).all())
+    if is_known:
+        return {**columns, "radius_mm": radius, "volume_mm3": ball_volume_mm3(depth, radius)}, True
+    return {**columns, "volume_mm3": ball_volume_mm3(depth, np.ones(len(depth)))}, False
+
+
+def _check_ball(columns: Columns, path: Path) -> None:
+    """Raise ``PressError`` where a ball is pressed deeper than it is wide."""
+    depth, radius = columns["depth_mm"], columns["radius_mm"]
+    beyond = np.flatnonzero(depth > 2.0 * radius)
+    if len(beyond) > 0.01 * len(depth):
         msg = (
-            f"{path}: depth_mm suffices instead of volume_mm3 for a ball of known radius; give "
-            "--radius-mm, a column radius_mm, or volume_mm3"
+            f"{path}: depth_mm reaches {np.nanmax(depth):.3g}, more than the ball's diameter of "
+            f"{2 * radius[beyond[0]]:.3g} mm: count it from the gel's surface, or check --radius-mm"
         )
         raise PressError(msg)
-    return {"radius_mm": radius, "volume_mm3": ball_volume_mm3(depth, radius)}
 
 
 def row_order(trial: IntArray, time_s: FloatArray) -> tuple[IntArray, str]:
@@ -249,18 +349,24 @@ def value_problems(table: LogTable) -> list[str]:
     known = np.isfinite(force) & np.isfinite(values)
     if known.sum() > 2:
         low, high = np.percentile(values[known], (1.0, 99.0))
-        if -low > max(high, 0.0):
+        if response == "depth_mm" and low > POSITION_SHARE * high > POSITION_SHARE * POSITION_MM:
+            return [
+                f"{path}: depth_mm lies between {low:.4g} and {high:.4g}, like a stage's position: "
+                "count it from the gel's surface, growing as the gel is pressed"
+            ]
+        load, pushed = force[known], values[known]
+        # In the air a stage is far above the gel: contact is the side that the force follows.
+        inside, outside = (_correlation(load, np.maximum(s * pushed, 0.0)) for s in (1.0, -1.0))
+        if low < 0 and abs(outside) > abs(inside):
             short = response.partition("_")[0]
             problems.append(
                 f"{path}: {response} is negative in contact (down to {low:.3g}); flip the sign: "
                 f"--flip {short}"
             )
-        off, grown = (one - one.mean() for one in (force[known], np.abs(values[known])))
-        spread = float(np.sqrt((off**2).sum() * (grown**2).sum()))
-        if spread > 0 and (off * grown).sum() / spread < -SIGN_CORRELATION:
+        if max(inside, outside, key=abs) < -SIGN_CORRELATION:
             problems.append(
-                f"{path}: force_normal_n is negative in contact (down to {force[known].min():.3g} "
-                "N); flip the sign: --flip force"
+                f"{path}: force_normal_n is negative in contact (down to {load.min():.3g} N); flip "
+                "the sign: --flip force"
             )
     peak = float(np.nanmax(np.abs(values))) if known.any() else 0.0
     if response == "depth_mm" and response not in table.sure and known.any():
@@ -271,19 +377,14 @@ def value_problems(table: LogTable) -> list[str]:
                 f"{path}: depth_mm reaches {peak:.3g}: this looks like {unit}; "
                 f"{_true_unit(table, response, unit)}"
             )
-    largest = float(np.nanmax(force)) if np.isfinite(force).any() else 0.0
-    too_large = largest > MAX_PLAUSIBLE_FORCE_N and response == "depth_mm"
-    if too_large and "force_normal_n" not in table.sure:
-        units = " or ".join(
-            f"--force-unit {unit} ({largest * newtons:.3g} N)"
-            for unit, newtons in FORCE_UNITS_N.items()
-            if largest * newtons <= MAX_PLAUSIBLE_FORCE_N
-        )
-        problems.append(
-            f"{path}: force_normal_n reaches {largest:.4g}: these are hardly newtons; give "
-            f"{units or 'newtons'}, or --force-unit n if they are"
-        )
     return problems
+
+
+def _correlation(one: FloatArray, other: FloatArray) -> float:
+    """Of two quantities (N,); 0 where one is constant."""
+    one, other = one - one.mean(), other - other.mean()
+    spread = float(np.sqrt((one**2).sum() * (other**2).sum()))
+    return float((one * other).sum()) / spread if spread > 0 else 0.0
 
 
 def _true_unit(table: LogTable, name: str, unit: str) -> str:
@@ -301,8 +402,8 @@ def _check_clock_unit(table: LogTable, columns: Columns) -> list[str]:
     steps = np.diff(time_s)
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     said = f"{table.path}: a press lasts {span:.3g} s by time_s (median), from {start:.4g} s"
-    if span > LONGEST_PRESS_S or start > LATEST_CLOCK_S:
-        units = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+    if span > LONGEST_PRESS_S or start > LATEST_CLOCK_S or 0 < span < SHORTEST_PRESS_S:
+        units = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "h": 3600.0, "d": 86400.0}
         unit = min(units, key=lambda u: abs(math.log(max(span, 1e-9) * units[u] / USUAL_PRESS_S)))
         msg = f"{said}: this looks like {unit}; {_true_unit(table, 'time_s', unit)}"
         raise PressError(msg)
@@ -314,8 +415,8 @@ def _check_clock_unit(table: LogTable, columns: Columns) -> list[str]:
     return []
 
 
-def _checked(columns: Columns, path: Path, rows: IntArray) -> PressLog:
-    found = _Findings(columns, path, rows, np.ones(len(rows), dtype=bool))
+def _checked(columns: Columns, path: Path, rows: IntArray, response: str) -> PressLog:
+    found = _Findings(columns, path, rows, np.ones(len(rows), dtype=bool), response)
     blocks = _trial_blocks(columns["trial"])
     for block in blocks:
         _check_cells(found, block)
@@ -371,6 +472,7 @@ class _Findings:
     path: Path
     rows: IntArray  # (N,), in the file
     keep: BoolArray
+    response: str  # the column that the volume comes from
     dropped: list[DroppedTrial] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     copied: int = 0  # samples of presses that are copies: nothing is lost with them
@@ -396,58 +498,109 @@ def _trial_blocks(trial: IntArray) -> list[IntArray]:
     return np.split(np.arange(len(trial)), np.flatnonzero(np.diff(trial)) + 1)
 
 
-def _force_unit_problem(columns: Columns, path: Path, rows: IntArray) -> str:
-    """The problem where the forces of the whole log cannot be newtons; empty where they can."""
-    peak, compliance = _peaks_and_compliances(columns, _trial_blocks(columns["trial"]))
-    if not np.isfinite(compliance).any():
-        return ""
-    typical_peak, typical = float(np.nanmedian(peak)), float(np.nanmedian(compliance))
-    stiffest, softest = PLAUSIBLE_COMPLIANCE_MM3_PER_N
-    if not (typical_peak > MAX_PLAUSIBLE_FORCE_N or (typical_peak > 20 and typical < stiffest)):
-        return ""
-    # Nearest to published gels first: all that the log may be in is said, with what follows of it.
-    likely = sorted(
-        (abs(math.log(typical / newtons / PUBLISHED_COMPLIANCE_MM3_PER_N)), unit, newtons)
-        for unit, newtons in FORCE_UNITS_N.items()
-        if typical_peak * newtons <= MAX_PLAUSIBLE_FORCE_N
-        and stiffest <= typical / newtons <= softest
+def typical_load(columns: Columns) -> tuple[float, float]:
+    """Medians over presses: peak force, N, and volume per force, mm³/N; NaN where unknown."""
+    both = _peaks_and_compliances(columns, _trial_blocks(columns["trial"]))
+    peak, compliance = (
+        float(np.nanmedian(one)) if np.isfinite(one).any() else math.nan for one in both
     )
-    if not likely:
-        return ""
-    row = rows[int(np.nanargmax(columns["force_normal_n"]))]
-    choices = [
-        f"--force-unit {unit} ({UNIT_WORDS[unit]}: {typical / newtons:.2g} mm³/N)"
-        for _, unit, newtons in likely
+    return peak, compliance
+
+
+def compliance_doubts(compliance: float, peak: float, table: LogTable) -> list[str]:
+    """A note where a log's mm³/N are far from any published gel's; raises where no gel has them.
+
+    ``peak`` is that of the force; ``compliance`` is NaN where the ball is unknown. Units that would
+    make a gel of it are said, the nearest to published ones first; ``--force-unit n`` says that
+    newtons are right.
+    """
+    least, most = READ_K_N_MM3_PER_N
+    is_unknown = math.isnan(compliance)
+    is_gel = is_unknown or least <= compliance <= most
+    is_too_large = peak > MAX_PLAUSIBLE_FORCE_N
+    is_usual = is_unknown or DOUBTFUL_K_N_MM3_PER_N[0] <= compliance <= DOUBTFUL_K_N_MM3_PER_N[1]
+    if "force_normal_n" in table.sure or (is_gel and is_usual and not is_too_large):
+        return []
+    others = _other_units(compliance, peak, table)
+    said = f"{table.path}: force_normal_n reaches {peak:.4g} (median over presses)"
+    said += "" if is_unknown else f" at {compliance:.2g} mm³/N, where published gels have 1 to 10"
+    if is_gel and not (is_too_large and others):
+        fixes = [text for _, k_n, text in others if 1.0 <= k_n <= 10.0]
+        said += "" if GELS_K_N_MM3_PER_N[0] <= compliance or is_unknown else " and gels 0.3 to 60"
+        said += ": is it another gel, or another unit?"
+        return [f"{said} If so, give {' or '.join(fixes)}" if fixes else said]
+    fixes = [text for _, _, text in others[:3]]
+    what = (
+        "these are hardly newtons"
+        if is_gel
+        else "gels have {:g} to {:g}".format(*GELS_K_N_MM3_PER_N)
+    )
+    asked = f"give {' or '.join(fixes)}, or" if fixes else "check the units of both, or give"
+    msg = f"{said}: {what}; {asked} --force-unit n if they are newtons"
+    raise PressError(msg)
+
+
+def _other_units(compliance: float, peak: float, table: LogTable) -> list[tuple[float, float, str]]:
+    """How far from a published gel other units take a log, its mm³/N in them, and the option.
+
+    The nearest come first.
+    """
+    found = []
+    for unit, newtons in FORCE_UNITS_N.items():
+        if unit != "n" and peak * newtons <= MAX_PLAUSIBLE_FORCE_N:
+            found.append((compliance / newtons, f"--force-unit {unit} ({UNIT_WORDS[unit]}"))
+    gauge = split_header(table.headers["force_normal_n"])[0]
+    found.append((compliance / 1e3, f'--column force_normal_n="{gauge} [kN]" (kilonewtons'))
+    name = "volume_mm3" if "volume_mm3" in table.numbers else "depth_mm"
+    power = 1 if name == "volume_mm3" else 2  # of a ball's volume that grows with its depth
+    header = table.headers.get(name, name)
+    for unit, factor in OTHER_UNITS[name].items() if not states_unit(header, name) else ():
+        option = f'--column {name}="{header} [{unit}]" ({unit}'
+        found.append((compliance * factor**power, option))
+    if math.isnan(compliance):
+        return [(0.0, k_n, f"{text})") for k_n, text in found if text.startswith("--force-unit")]
+    low, high = GELS_K_N_MM3_PER_N
+    likely = [
+        (abs(math.log(k_n / PUBLISHED_K_N_MM3_PER_N)), k_n, f"{option}: {k_n:.2g} mm³/N)")
+        for k_n, option in found
+        if low <= k_n <= high
     ]
-    return (
-        f"{path}: row {row}: force_normal_n reaches {np.nanmax(peak):.4g} (median over presses "
-        f"{typical_peak:.4g}) at {typical:.2g} mm³ a unit of force: hardly newtons, published "
-        f"gels have 1 to 10 mm³/N; give {' or '.join(choices)}, or --force-unit n if they "
-        "are newtons"
-    )
+    return sorted(likely, key=lambda one: round(one[0], 1))  # of equals, a force's unit first
 
 
 def _peaks_and_compliances(
     columns: Columns, blocks: list[IntArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """Peak force of each block, and its volume per force there; NaN where nothing is known."""
+    """Peak force of each block, and its volume per force there; NaN where nothing is known.
+
+    Both are counted from the block's least load, where that is much less than its peak: a gauge
+    that was not tared is no other unit.
+    """
     peak, compliance = np.full(len(blocks), np.nan), np.full(len(blocks), np.nan)
     for index, block in enumerate(blocks):
         force, volume = columns["force_normal_n"][block], columns["volume_mm3"][block]
         known = np.isfinite(force) & np.isfinite(volume)
-        if known.any():
-            loaded = known & (force >= 0.5 * force[known].max())
-            peak[index] = force[known].max()
-            if peak[index] > 0:
-                compliance[index] = np.median(volume[loaded]) / np.median(force[loaded])
+        if not known.any():
+            continue
+        force, volume = force[known], volume[known]
+        peak[index] = force.max()
+        rest = force <= np.quantile(force, REST_SHARE)
+        zero = np.array([np.median(force[rest]), np.median(volume[rest])])
+        if zero[0] > HELD_SHARE * peak[index]:
+            zero = np.zeros(2)
+        loaded = force - zero[0] >= 0.5 * (force.max() - zero[0])
+        load = np.median(force[loaded]) - zero[0]
+        if load > 0:
+            compliance[index] = (np.median(volume[loaded]) - zero[1]) / load
     return peak, compliance
 
 
 def _check_cells(found: _Findings, block: IntArray) -> None:
     """Empty or infinite cells: a few drop their samples, many the trial."""
-    names = (*REQUIRED, *(name for name in SHEAR if name in found.columns))
+    required = (*REQUIRED[:-1], found.response)
+    names = (*required, *(name for name in SHEAR if name in found.columns))
     finite = {name: np.isfinite(found.columns[name][block]) for name in names}
-    finite = {name: known for name, known in finite.items() if name in REQUIRED or known.any()}
+    finite = {name: known for name, known in finite.items() if name in required or known.any()}
     bad = ~np.logical_and.reduce(list(finite.values()))
     if not bad.any():
         return
@@ -513,7 +666,8 @@ def _check_contact(found: _Findings, block: IntArray) -> None:
     elif not (force > 0).any():
         found.drop(block, "the force is never positive", "zero the gauge, check its sign")
     elif not (volume != 0).any():
-        found.drop(block, "the volume is always 0: no contact was seen", "check the images")
+        quantity = found.response.partition("_")[0]
+        found.drop(block, f"the {quantity} is always 0: no contact was seen", "press deeper")
 
 
 def _check_stray_units(found: _Findings, blocks: list[IntArray]) -> None:
@@ -522,9 +676,6 @@ def _check_stray_units(found: _Findings, blocks: list[IntArray]) -> None:
         return
     peak, compliance = _peaks_and_compliances(found.columns, blocks)
     typical_peak, typical = np.nanmedian(peak), np.nanmedian(compliance)
-    if typical > PLAUSIBLE_COMPLIANCE_MM3_PER_N[1]:
-        doubt = "is it in mm³ and N, or in px³ or kgf?"
-        found.warn(f"volume per force is {typical:.3g} mm³/N, far above any gel's: {doubt}")
     if len(blocks) < 3 or not typical > 0:
         return
     for block, one_peak, one in zip(blocks, peak, compliance, strict=True):

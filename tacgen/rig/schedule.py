@@ -82,6 +82,9 @@ def read_presses(path: Path, indenters: Sequence[str]) -> list[Press]:
     except (OSError, ValueError) as error:
         msg = f"{path}: cannot be read as presses to follow: {csv_problem(error)}"
         raise RecipeError(msg) from None
+    if not isinstance(table.index, pd.RangeIndex):
+        msg = f"{path}: its rows have more cells than its header; quote cells with commas"
+        raise RecipeError(msg)
     if missing := [name for name in PRESS_COLUMNS if name not in table]:
         msg = f"{path}: lacks the columns {', '.join(missing)}; give one row for each press"
         raise RecipeError(msg)

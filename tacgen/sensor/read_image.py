@@ -219,15 +219,13 @@ def read_files(reader: ImageReader, paths: Sequence[Path], out: Path) -> list[di
     """Read image files and write what they show into the folder ``out``; returns the rows.
 
     ``readings.csv`` has one row an image; ``<name>.npz`` holds ``depth_mm`` and ``contact_mask``,
-    ``<name>_depth.png`` shows the depth, white at the deepest.
+    ``<name>_depth.png`` shows the depth, white at the deepest. Where files of several folders have
+    one name, the name of the folder stands before it.
 
-    Raises ``SensorError`` if a file is no image, two have one name, or one does not fit the sensor;
-    nothing is then written.
+    Raises ``SensorError`` if a file is no image, two have one name nevertheless, or one does not
+    fit the sensor; nothing is then written.
     """
-    names = [path.stem for path in paths]
-    if len(set(names)) < len(names):
-        msg = "two images have the same name; read them into separate folders"
-        raise SensorError(msg)
+    names = _names(paths)
     readings = []
     for path in paths:
         rgb = read_rgb(path, SensorError)
@@ -238,17 +236,29 @@ def read_files(reader: ImageReader, paths: Sequence[Path], out: Path) -> list[di
             raise SensorError(msg) from None
     rows = []
     out.mkdir(parents=True, exist_ok=True)
-    for path, reading in zip(paths, readings, strict=True):
-        rows.append({"file": path.name, **reading.summary()})
-        with atomic_path(out / f"{path.stem}.npz") as partial, partial.open("wb") as file:
+    for path, name, reading in zip(paths, names, readings, strict=True):
+        rows.append({"file": name + path.suffix, **reading.summary()})
+        with atomic_path(out / f"{name}.npz") as partial, partial.open("wb") as file:
             np.savez_compressed(file, depth_mm=reading.depth_mm, contact_mask=reading.contact_mask)
         brightness = 255.0 * reading.depth_mm / max(reading.indentation_mm, LEAST_DEPTH_MM)
         grey = np.repeat(np.rint(brightness).astype(np.uint8)[..., None], 3, axis=2)
-        with atomic_path(out / f"{path.stem}_depth.png") as partial:
+        with atomic_path(out / f"{name}_depth.png") as partial:
             partial.write_bytes(encode_png(grey))
     with atomic_path(out / "readings.csv") as partial:
         pd.DataFrame(rows).to_csv(partial, index=False)
     return rows
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    """A name for what is read from each file."""
+    names = [path.stem for path in paths]
+    if len(set(names)) < len(names):
+        names = [f"{path.absolute().parent.name}_{path.stem}" for path in paths]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        msg = f"two images would be {twice}: give each once, or read them into separate folders"
+        raise SensorError(msg)
+    return names
 
 
 def reading_line(row: dict[str, Any]) -> str:

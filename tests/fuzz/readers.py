@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from tests.fuzz import learned
+from tests.fuzz import foreign, learned
 
 Read = Callable[[Path], object]
 
@@ -91,6 +91,12 @@ CUBE_OBJ = "".join(
     [f"v {x} {y} {z}\n" for x in (0, 30) for y in (0, 30) for z in (0, 30)]
     + [f"f {face}\n" for face in CUBE_FACES]
 )
+
+CUBE_URDF = """<robot name="cube"><link name="a"><visual><origin xyz="0 0 0.1" rpy="0 0 1"/>
+<geometry><box size="0.03 0.03 0.03"/></geometry></visual></link><link name="b"><collision>
+<geometry><cylinder radius="0.01" length="0.05"/></geometry></collision></link>
+<joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint></robot>
+"""
 
 
 def _box(name: str) -> Callable[[Path], Path]:
@@ -344,6 +350,7 @@ READERS = {
     "rig recipe": Reader(_shipped("rig_two_effects.yaml"), _read_rig_recipe),
     "study": Reader(_shipped("paper_table.yaml"), _read_study),
     "object folder": Reader(_make_object, _read_object),
+    "mesh urdf": Reader(_text("cube.urdf", CUBE_URDF), _read_mesh),
     "mesh obj": Reader(_text("cube.obj", CUBE_OBJ), _read_mesh),
     "mesh stl": Reader(_box("box.stl"), _read_mesh),
     "mesh ply": Reader(_box("box.ply"), _read_mesh),
@@ -370,6 +377,14 @@ READERS = {
     "dataset plan": Reader(_dataset("dataset.json"), _read_dataset),
     "dataset recipe": Reader(_dataset("recipe.yaml"), _read_dataset_recipe, sound=False),
     "batch jobs": Reader(_make_jobs, _read_jobs),
+    "gripper": Reader(foreign.make_gripper, foreign.read_gripper),
+    "presses to follow": Reader(foreign.make_followed_presses, foreign.read_followed_presses),
+    "polycalib's background": Reader(foreign.make_background, foreign.read_background),
+    "real grasps' origin": Reader(foreign.make_about, foreign.read_about),
+    **{
+        name: Reader(foreign.make_layout(name), foreign.read_layout(name))
+        for name in foreign.LAYOUTS
+    },
 }
 LEARNED = {
     "checkpoint": Reader(learned.make_checkpoint, learned.read_checkpoint),

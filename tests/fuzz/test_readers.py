@@ -11,7 +11,7 @@ import pytest
 from tests.fuzz.readers import LEARNED, READERS
 
 CHECKOUT = Path(__file__).parents[2]
-SECONDS = 0.5
+SECONDS = 0.4
 RUNS = 60
 MAX_EXTRA_MB = 250
 """On top of a sound file's: an image of the largest size allowed takes 200 MB."""

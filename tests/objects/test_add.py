@@ -19,9 +19,10 @@ from tacgen.core.records import Mesh
 from tacgen.core.resources import find_object_folder
 from tacgen.objects import load_object
 from tacgen.objects.add import add_object
-from tacgen.objects.grasp_ranges import touch_error_mm
+from tacgen.objects.cutting import MAX_PART_VERTICES, convex_parts, cut_again
+from tacgen.objects.grasp_ranges import largest_grid, touch_error_mm, touch_errors
 from tacgen.objects.load import read_meshes
-from tacgen.objects.mesh_import import MAX_PART_VERTICES, convex_parts, import_surface
+from tacgen.objects.mesh_import import import_surface
 from tacgen.objects.meshes import volume_mm3
 from tacgen.physics import GraspSimulator
 from validation.physics.hold_thresholds import BY_FLATS, holds, imported
@@ -121,11 +122,26 @@ def test_too_large_is_refused():
     assert "too large for a gripper that opens 110 mm" in refused(box(300, 300, 300), "crate.stl")
 
 
-def test_an_open_surface_is_refused_with_the_count_of_open_edges():
-    solid = trimesh.creation.box((30.0, 40.0, 60.0))
-    solid.update_faces(np.abs(solid.face_normals[:, 2] - 1) > 0.1)
-    message = refused(solid, "open.stl")
-    assert "4 open edges" in message
+def without(solid, away):
+    """The solid without its faces that look that way."""
+    solid.update_faces(solid.face_normals @ away < 0.9)
+    return solid
+
+
+def test_a_container_without_thickness_is_refused():
+    message = refused(without(box(), [0, 0, 1]), "open.stl")
+    assert "open at the top, a container whose walls have no thickness" in message
+    assert "Solidify" in message
+
+
+def test_a_sheet_is_refused_with_its_open_edges_and_how_much_is_missing():
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=30.0)
+    ball.update_faces(ball.triangles_center[:, 0] > 0)
+    message = refused(ball, "sheet.stl")
+    found = re.search(r"(\d+) open edges, and (\d+) % of the surface would be invented", message)
+    assert int(found[1]) > 20
+    # Of half a ball the flat side: π r² of 3 π r².
+    assert int(found[2]) == pytest.approx(33, abs=3)
     assert "Close Holes" in message
 
 
@@ -205,7 +221,7 @@ def test_an_l_shape_is_decomposed_into_convex_parts_the_same_way_twice():
     second = trimesh.creation.box((80.0, 20.0, 20.0)).apply_translation([30.0, 0.0, -30.0])
     solid = trimesh.boolean.union([first, second], engine="manifold")
     surface = Mesh(np.array(solid.vertices), np.array(solid.faces, dtype=np.int32))
-    parts, again = next(convex_parts(surface)), next(convex_parts(surface))
+    parts, again = convex_parts(surface), convex_parts(surface)
     assert len(parts) >= 2
     assert sum(volume_mm3(part) for part in parts) == pytest.approx(solid.volume, rel=0.1)
     for part, other in zip(parts, again, strict=True):
@@ -220,7 +236,7 @@ def can(sections):
 
 def test_a_convex_mesh_keeps_all_its_vertices():
     surface, _ = import_surface(exported(can(256), "can.stl"))
-    (part,) = next(convex_parts(surface))
+    (part,) = convex_parts(surface)
     assert sorted(map(tuple, part.vertices_mm.round(3))) == sorted(
         map(tuple, surface.vertices_mm[surface.vertices_mm[:, :2].any(axis=1)].round(3))
     )
@@ -228,7 +244,7 @@ def test_a_convex_mesh_keeps_all_its_vertices():
 
 def test_a_finer_mesh_is_thinned_evenly_and_stays_symmetric():
     surface, _ = import_surface(exported(can(2048), "can.stl"))
-    (part,) = next(convex_parts(surface))
+    (part,) = convex_parts(surface)
     assert len(part.vertices_mm) <= MAX_PART_VERTICES
     turned = part.vertices_mm * [-1, -1, 1]
     found = np.linalg.norm(part.vertices_mm[:, None] - turned, axis=2).min(axis=0)
@@ -245,7 +261,7 @@ def test_where_pads_touch_is_compared_with_the_surface():
     ranges = {"y_mm": (0.0,), "z_mm": (25.0,)}
     for move, along, across in (((0.4, 0, 0), 0.4, 0.0), ((0, 0, 4.0), 0.15, 4 * 30 / 55)):
         moved = Mesh(surface.vertices_mm + move, surface.faces)
-        error_mm = touch_error_mm(surface, [moved], ranges)
+        error_mm = touch_error_mm(touch_errors(surface, [moved], ranges))
         assert error_mm == pytest.approx([along, across], abs=0.3)
         assert error_mm[0] == pytest.approx(along, abs=0.03)
 
@@ -268,11 +284,34 @@ def test_a_finer_cut_follows_a_curved_waist_more_closely():
     profile = np.stack([26.0 + 4.0 * (z_mm / 50.0 - 1.0) ** 2, z_mm], axis=1)
     solid = trimesh.creation.revolve(np.array([(0, 0), *profile, (0, 100)]), sections=90)
     surface, _ = import_surface(exported(solid, "waist.stl"))
-    coarse, fine, *_ = convex_parts(surface)
     ranges = {"y_mm": (0.0,), "z_mm": (25.0, 50.0, 75.0)}
-    errors_mm = [touch_error_mm(surface, parts, ranges).max() for parts in (coarse, fine)]
-    assert len(fine) > len(coarse) > 1
-    assert errors_mm[1] < errors_mm[0]
+    parts = convex_parts(surface)
+    errors_mm = [touch_error_mm(touch_errors(surface, parts, ranges))]
+    for _ in range(2):
+        which = {error.part for error in touch_errors(surface, parts, ranges)}
+        finer = cut_again(surface, parts, which)
+        assert len(finer) > len(parts)
+        parts = finer
+        errors_mm.append(touch_error_mm(touch_errors(surface, parts, ranges)))
+    assert errors_mm[2][0] < errors_mm[0][0]
+    assert sum(map(volume_mm3, parts)) < 1.03 * volume_mm3(surface)
+
+
+@pytest.mark.parametrize(
+    ("bad", "grid"),
+    [
+        ([], ((-1.0, 0.0, 1.0), (10.0, 20.0))),
+        ([(0.0, 10.0)], ((-1.0, 1.0), (10.0, 20.0))),
+        ([(-1.0, 10.0), (0.0, 10.0), (1.0, 10.0)], ((-1.0, 0.0, 1.0), (20.0,))),
+        ([(-1.0, 10.0), (0.0, 10.0)], ((-1.0, 0.0, 1.0), (20.0,))),
+    ],
+)
+def test_the_largest_grid_without_bad_places_is_kept(bad, grid):
+    ranges = {"force_n": (1.0,), "y_mm": (-1.0, 0.0, 1.0), "z_mm": (10.0, 20.0)}
+    kept = largest_grid(ranges, bad)
+    assert (kept["y_mm"], kept["z_mm"]) == grid
+    assert kept["force_n"] == (1.0,)
+    assert largest_grid(ranges, [(y, z) for y in ranges["y_mm"] for z in ranges["z_mm"]]) is None
 
 
 @pytest.mark.slow

@@ -138,8 +138,88 @@ def test_a_hole_is_filled_and_said_with_its_size():
     surface, notes = read(ball, name="ball.ply")
     cap = np.pi * 0.7**2 * (20.0 - 0.7 / 3)
     assert volume_mm3(surface) == pytest.approx(4 / 3 * np.pi * 20.0**3 - cap, rel=0.02)
-    (note,) = [note for note in notes if "hole(s) filled" in note]
+    (note,) = [note for note in notes if "hole(s) or cracks filled" in note]
     assert float(note.split("rim of ")[1].split()[0]) == pytest.approx(rim_mm, rel=0.25)
+
+
+def test_a_scan_without_its_bottom_is_closed_and_what_changed_is_said():
+    """A can of 60 × 100 mm: the bottom is a tenth of the surface, and closed flat."""
+    can = trimesh.creation.cylinder(radius=30.0, height=100.0, sections=128)
+    can.update_faces(can.face_normals[:, 2] > -0.9)
+    surface, notes = read(can, name="can.ply")
+    area = 64 * 900.0 * np.sin(2 * np.pi / 128)
+    assert volume_mm3(surface) == pytest.approx(100 * area, rel=1e-5)
+    np.testing.assert_allclose(center_mm(surface), [0, 0, 50], atol=1e-3)
+    (note,) = [note for note in notes if "filled" in note]
+    share = np.pi * 30**2 / (2 * np.pi * 30**2 + np.pi * 60 * 100)
+    assert float(note.split("; ")[1].split()[0]) == pytest.approx(100 * share, abs=0.5)
+    # Without the bottom the faces about the middle enclose a sixth less.
+    before, after = (float(word.split()[0]) for word in note.split("volume ")[1].split(" → "))
+    assert before == pytest.approx(5 / 6 * after, rel=1e-3)
+    assert "centre of mass moved by" in note
+
+
+def test_a_wall_inside_changes_nothing():
+    """Three faces meet at the wall's edges: the pieces are closed one by one."""
+    upper = box((30.0, 40.0, 25.0), (0.0, 0.0, 12.5))
+    lower = box((30.0, 40.0, 25.0), (0.0, 0.0, -12.5))
+    upper.update_faces(upper.face_normals[:, 2] > -0.9)
+    lower.update_faces(lower.face_normals[:, 2] < 0.9)
+    wall = trimesh.Trimesh(
+        [[-15, -20, 0], [15, -20, 0], [15, 20, 0], [-15, 20, 0]], [[0, 1, 2], [0, 2, 3]]
+    )
+    surface, _ = read(upper, lower, wall, name="wall.ply")
+    assert volume_mm3(surface) == pytest.approx(60_000.0, rel=1e-5)
+    np.testing.assert_allclose(center_mm(surface), [0, 0, 25], atol=1e-3)
+
+
+def test_a_crack_along_a_seam_is_zipped_up():
+    """Both sides of the seam have corners of their own, 0.02 mm apart, not at the same places."""
+    upper = trimesh.creation.cylinder(radius=20.0, height=30.0, sections=90)
+    lower = trimesh.creation.cylinder(radius=20.0, height=30.0, sections=77)
+    upper.update_faces(upper.face_normals[:, 2] > -0.9)
+    lower.update_faces(lower.face_normals[:, 2] < 0.9)
+    upper.apply_translation([0, 0, 15.01])
+    lower.apply_translation([0, 0, -15.01])
+    surface, _ = read(upper, lower, name="seam.ply")
+    assert volume_mm3(surface) == pytest.approx(np.pi * 400 * 60, rel=5e-3)
+    np.testing.assert_allclose(center_mm(surface)[:2], 0, atol=0.05)
+
+
+def test_parts_whose_open_ends_lie_inside_another_are_whole():
+    """A spout's root is open within the pot: its cap is not part of the surface."""
+    pot = trimesh.creation.cylinder(radius=30.0, height=60.0, sections=96)
+    spout = trimesh.creation.cylinder(radius=8.0, height=40.0, sections=48)
+    turn = trimesh.transformations.rotation_matrix(np.pi / 2, [0, 1, 0])
+    spout.apply_transform(turn).apply_translation([40.0, 0.0, 0.0])
+    whole = trimesh.boolean.union([pot, spout], engine="manifold")
+    spout.update_faces(spout.face_normals[:, 0] > -0.9)
+    surface, notes = read(pot, spout, name="pot.ply")
+    assert volume_mm3(surface) == pytest.approx(whole.volume, rel=1e-4)
+    (note,) = [note for note in notes if "filled" in note]
+    assert "; 0 % of the surface" in note
+
+
+def test_a_strip_with_one_side_is_refused():
+    """A Möbius strip encloses nothing, however its faces are turned."""
+    around = np.linspace(0.0, 2 * np.pi, 61)[:-1]
+    rows = [
+        np.stack(
+            [
+                (30 + w * np.cos(around / 2)) * np.cos(around),
+                (30 + w * np.cos(around / 2)) * np.sin(around),
+                w * np.sin(around / 2),
+            ],
+            axis=1,
+        )
+        for w in (-10.0, 10.0)
+    ]
+    faces = []
+    for k in range(60):
+        here, there = (k, k + 60), ((k + 1), (k + 61)) if k < 59 else (60, 0)
+        faces += [[here[0], there[0], here[1]], [there[0], there[1], here[1]]]
+    with pytest.raises(ObjectError, match="not a closed surface|no volume"):
+        read(trimesh.Trimesh(np.vstack(rows), faces, process=False), name="strip.ply")
 
 
 def test_a_tilted_bar_is_as_wide_as_across_it():

@@ -196,6 +196,25 @@ def test_py3dcal_one_wrong_label_is_left_out_alone(tmp_path):
     assert read_presses(tmp_path / "out").labelled.tolist() == [True, True, True, False]
 
 
+@pytest.mark.parametrize("name", ["../../secret", "/etc", "9.470mm/../../x"])
+def test_names_that_lead_out_of_the_set_are_refused(gs_sdk, tmp_path, name):
+    table = pd.read_csv(gs_sdk / "catalog.csv")
+    table.loc[2, "experiment_reldir"] = name
+    table.to_csv(gs_sdk / "catalog.csv", index=False)
+    with pytest.raises(PressError, match="leads out of it; name files of this set"):
+        import_presses("gs-sdk", gs_sdk, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("value", ["0", "-4", "1e999", "NaN", "9" * 400])
+def test_py3dcal_scales_that_are_none_are_refused(tmp_path, value):
+    write_py3dcal(tmp_path / "set", [(0.0, 0.0, 0.5, 12)])
+    about = f'{{"px_per_mm": {value}, "probe_radius_mm": 4}}'
+    (tmp_path / "set/annotations/metadata.json").write_text(about)
+    with pytest.raises(PressError, match="needs the numbers px_per_mm, probe_radius_mm"):
+        import_presses("py3dcal", tmp_path / "set", tmp_path / "out")
+
+
 def test_gs_sdk_folders_that_come_to_the_same_name_are_all_kept(gs_sdk, tmp_path):
     names = ["day_1/x", "day/1_x", "Day/1_x"]
     for k, name in enumerate(names):

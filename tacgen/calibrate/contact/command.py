@@ -21,7 +21,7 @@ from tacgen.optics.table import load_table
 from tacgen.presses.lab_table import LogFormat, LogTable, read_log_table
 from tacgen.presses.press_folder import WITH_FORCES, read_press_folder, read_presses
 from tacgen.presses.press_forces import MeasuredLog, measure_presses
-from tacgen.presses.press_log import PLAIN, PressLog, press_log_of
+from tacgen.presses.press_log import PLAIN, PressLog, compliance_doubts, press_log_of
 from tacgen.presses.screening import usable_presses
 
 MIN_FOR_OWN_TABLE, MIN_PRESSES_FOR_OWN_TABLE = 10, 6
@@ -110,20 +110,22 @@ def read_contact_log(
         read = press_log_of(read_log_table(path, PLAIN))
         return replace(read, warnings=(*found.warnings, *read.warnings)), found.marker_pitch_mm
     cells = read_log_table(Path(log), log_format)
+    read = press_log_of(cells, radius_mm=radius_mm)
     if not depth_curves.holds_depths(cells):
-        return press_log_of(cells), np.nan
-    cells.require("trial", "time_s", "force_normal_n")
+        return read, np.nan
     notes = [f"{log}: the contact point of every press was estimated from its depth and force"]
-    curves = depth_curves.read_depth_curves(cells)
-    if None in depth_curves.known_radii(curves, radius_mm):
+    if "volume_mm3" not in read:
+        curves, left_out = depth_curves.read_depth_curves(read)
         fitted = depth_curves.explain_curves(curves)
         depth_curves.check_identified(Path(log), fitted)
         radius_mm = float(np.median([fit.radius_mm for fit in fitted.curves.values()]))
-        notes.append(
+        notes += [
+            *left_out,
             f"{log}: the ball's radius is fitted, {radius_mm:.3g} mm, so that V = k_n F holds as "
-            "well as it can: give --radius-mm before you believe in stiffening"
-        )
-    read, _ = free_contact_points(press_log_of(cells, radius_mm=radius_mm))
+            "well as it can: give --radius-mm before you believe in stiffening",
+        ]
+        read = press_log_of(cells, radius_mm=radius_mm)
+    read, _ = free_contact_points(read)
     columns = {name: values for name, values in read.columns.items() if name != "depth_mm"}
     return replace(read, columns=columns, warnings=(*notes, *read.warnings)), np.nan
 
@@ -170,25 +172,31 @@ def _explain_depths(
     table: LogTable, out: Path, report: Path | None, radius_mm: float | None
 ) -> ContactCalibration:
     """The law of curves without volumes is the k_n that all of them share."""
-    log, curves = table.path, depth_curves.read_depth_curves(table)
+    read = press_log_of(table, radius_mm=radius_mm)
+    log = table.path
+    curves, left_out = depth_curves.read_depth_curves(read)
     found = depth_curves.explain_curves(curves, radius_mm)
     depth_curves.check_identified(log, found)
     known = depth_curves.known_radii(curves, radius_mm)[0]
+    doubts = compliance_doubts(found.shared_k_n, 2 * found.reference_n, table)
+    doubts = [] if known else doubts  # else those of the log are said already
     zeros_n = [curve.zero_n for curve in curves if curve.zero_n] or [0.0]
     untared = (
         f"{log}: force_normal_n is {min(zeros_n):.3g} to {max(zeros_n):.3g} N at rest: that is "
         "subtracted from each curve; tare the gauge before you record"
     )
     warnings = (
-        *table.notes,
-        *table.unclear,
+        *read.warnings,
+        *map(str, read.dropped),
+        *left_out,
+        *doubts,
         *([untared] if any(zeros_n) else []),
         *depth_curves.depth_warnings(log, found, known),
     )
     provenance: dict[str, Any] = {
         "data": {log.name: sha256_of(log)},
         "versions": {"tacgen": __version__},
-        "trials": {"fit": len(found.curves), "left_out": 0},
+        "trials": {"fit": len(found.curves), "left_out": len(read.dropped) + len(left_out)},
         "curves": asdict(found)["curves"],
         "warnings": list(warnings),
     }

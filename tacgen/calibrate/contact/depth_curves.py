@@ -21,7 +21,7 @@ from tacgen.core.errors import PressError
 from tacgen.core.records import Estimate
 from tacgen.presses.geometry import ball_volume_mm3
 from tacgen.presses.lab_table import LogTable
-from tacgen.presses.press_log import row_order, value_problems
+from tacgen.presses.press_log import MAX_DROPPED_SHARE, PressLog
 from tacgen.report.page import templates
 
 RADII_MM = (0.1, 100.0)  # indenters outside this range are no balls that a gel is pressed with
@@ -134,43 +134,31 @@ def holds_depths(table: LogTable) -> bool:
     return "depth_mm" in table.cells and "volume_mm3" not in table.cells
 
 
-def read_depth_curves(table: LogTable) -> tuple[DepthCurve, ...]:
-    """Curves from columns ``force_normal_n``, ``depth_mm`` and ``curve`` (or ``trial``).
+def read_depth_curves(log: PressLog) -> tuple[tuple[DepthCurve, ...], list[str]]:
+    """The presses of a log of depths as curves, and those that are not used, a sentence each.
 
-    Rows without a depth or a force are left out. Raises ``PressError`` listing what is missing, not
-    a number, in another unit, or too short.
+    Raises ``PressError`` where most samples are of presses with too few.
     """
-    table.require("force_normal_n", "depth_mm")
-    PressError.raise_if(table.problems or value_problems(table))
-    path, numbers, cells = table.path, table.numbers, table.cells
-    one_curve = [""] * len(table.rows)
-    names = np.array(cells.get("curve", cells.get("trial", one_curve)))
-    first = {name: k for k, name in enumerate(dict.fromkeys(names))}
-    label = np.array([first[name] for name in names])
-    force, depth = numbers["force_normal_n"], numbers["depth_mm"]
-    order, _ = row_order(label, numbers.get("time_s", np.zeros(len(label))))
-    curves, problems = [], []
-    for name in first:
-        rows = order[names[order] == name]
-        known = rows[np.isfinite(depth[rows]) & np.isfinite(force[rows])]
-        where = f"{path}: row {table.rows[rows].min()}: {f'curve {name}' if name else 'the curve'}"
-        touching = int((depth[known] > 0).sum())
-        if len(known) <= len(rows) / 2:
-            problems.append(f"{where}: depth_mm or force_normal_n is empty in most rows; fill them")
-        elif touching < MIN_SAMPLES or not force[known].max() > 0:
-            problems.append(
-                f"{where} has {touching} samples in contact; at least {MIN_SAMPLES} with a "
-                "positive force are needed"
+    curves, left_out, unused = [], [], 0
+    for trial in log.trials:
+        rows = log["trial"] == trial
+        depth, force = log["depth_mm"][rows], log["force_normal_n"][rows]
+        name = str(log["curve"][rows][0]) if "curve" in log else str(trial)
+        touching = int((depth > 0).sum())
+        if touching < MIN_SAMPLES or not force.max() > 0:
+            unused += int(rows.sum())
+            left_out.append(
+                f"{log.path}: row {log.rows[rows].min()}: curve {name} has {touching} samples in "
+                f"contact; at least {MIN_SAMPLES} with a positive force are needed"
             )
-        radius = numbers.get("radius_mm", np.full(len(label), np.nan))[rows]
+            continue
+        radius = log["radius_mm"][rows] if "radius_mm" in log else np.array([np.nan])
         one_ball = np.isfinite(radius).all() and np.ptp(radius) == 0 and radius[0] > 0
+        zero_n = _zero_n(depth, force)
         ball_mm = float(radius[0]) if one_ball else None
-        zero_n = _zero_n(depth[known], force[known])
-        curves.append(
-            DepthCurve(str(name) or "1", depth[known], force[known] - zero_n, ball_mm, zero_n)
-        )
-    PressError.raise_if(problems)
-    return tuple(curves)
+        curves.append(DepthCurve(name, depth, force - zero_n, ball_mm, zero_n))
+    PressError.raise_if(left_out if unused >= MAX_DROPPED_SHARE * len(log) else [])
+    return tuple(curves), left_out
 
 
 def _zero_n(depth_mm: FloatArray, force_n: FloatArray) -> float:

@@ -23,6 +23,7 @@ from tacgen.presses.experiments import per_experiment
 from tacgen.presses.press_images import PressImages
 
 MIN_RULER_PRESSES = 4  # two places fix a scale and a turn; as many more tell the error
+MAX_CONDITION = 100.0  # of places: spread in one direction ten times as far as across it
 MIN_RATIO_PRESSES = 3  # presses of a second ball that its size is judged from
 
 UNEVEN_LIGHT = 0.005
@@ -61,6 +62,14 @@ class BallRatio:
 
 
 @dataclass(frozen=True, slots=True)
+class Stretch:
+    """mm/px along the picture's columns over that along its rows, by the stage's places."""
+
+    factor: float
+    stderr: float
+
+
+@dataclass(frozen=True, slots=True)
 class ScaleEvidence:
     """All that is known of the scale; ``warnings`` are disagreements, ``notes`` what is open."""
 
@@ -68,6 +77,7 @@ class ScaleEvidence:
     rulers: tuple[Ruler, ...]
     largest_mm_per_px: float
     ratios: tuple[BallRatio, ...]
+    stretch: Stretch | None
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
 
@@ -102,10 +112,47 @@ def scale_evidence(prepared: PreparedPresses, fit: JointFit) -> ScaleEvidence:
     rulers = tuple(ruler for ruler in candidates if ruler is not None)
     largest = largest_scale(presses)
     ratios = ball_ratios(prepared, fit)
-    found = ScaleEvidence(presses.mm_per_px, rulers, largest, ratios, (), ())
+    stretch = stretch_by_stage(presses, fit)
+    found = ScaleEvidence(presses.mm_per_px, rulers, largest, ratios, stretch, (), ())
     return replace(
         found, warnings=tuple(_warnings(presses, found)), notes=tuple(_notes(presses, found))
     )
+
+
+def _stage_and_places(presses: PressImages, fit: JointFit) -> tuple[FloatArray, FloatArray] | None:
+    """Places of presses (E, 2) about their middle: mm by the stage, px in the pictures."""
+    if presses.stage_mm is None:
+        return None
+    known = np.isfinite(presses.stage_mm).all(axis=1)
+    each = presses.experiment[known]
+    if len(np.unique(each)) < MIN_RULER_PRESSES:
+        return None
+    stage = per_experiment(presses.stage_mm[known], each)
+    place = per_experiment(fit.geometry[known, :2], each) / presses.mm_per_px
+    return stage - stage.mean(axis=0), place - place.mean(axis=0)
+
+
+def stretch_by_stage(presses: PressImages, fit: JointFit) -> Stretch | None:
+    """By how much a picture's pixels are no squares, whatever the stage's axes are turned by."""
+    places = _stage_and_places(presses, fit)
+    if places is None:
+        return None
+    stage, place = places
+    inverse = np.linalg.pinv(stage.T @ stage)
+    if len(stage) < MIN_RULER_PRESSES + 1 or np.linalg.cond(stage.T @ stage) > MAX_CONDITION:
+        return None
+    px_per_mm = inverse @ stage.T @ place  # (2, 2): the column of a picture's axis
+    left = place - stage @ px_per_mm
+    variance = float((left**2).sum()) / (2 * len(stage) - 6)
+    size = np.linalg.norm(px_per_mm, axis=0)
+    if not size.min() > 0:
+        return None
+    shares = [
+        variance * float(axis @ inverse @ axis) / length**4
+        for axis, length in zip(px_per_mm.T, size, strict=True)
+    ]
+    factor = float(size[1] / size[0])
+    return Stretch(factor, factor * float(np.sqrt(sum(shares) + 2 * UNEVEN_LIGHT**2)))
 
 
 def by_stage(presses: PressImages, fit: JointFit) -> Ruler | None:
@@ -113,16 +160,10 @@ def by_stage(presses: PressImages, fit: JointFit) -> Ruler | None:
 
     The axes may be turned or mirrored against the picture's: only distances count.
     """
-    if presses.stage_mm is None:
+    places = _stage_and_places(presses, fit)
+    if places is None:
         return None
-    known = np.isfinite(presses.stage_mm).all(axis=1)
-    each = presses.experiment[known]
-    if len(np.unique(each)) < MIN_RULER_PRESSES:
-        return None
-    stage = per_experiment(presses.stage_mm[known], each) @ np.array([1.0, 1.0j])
-    place = per_experiment(fit.geometry[known, :2], each) @ np.array([1.0, 1.0j])
-    place /= presses.mm_per_px
-    stage, place = stage - stage.mean(), place - place.mean()
+    stage, place = (each @ np.array([1.0, 1.0j]) for each in places)
     power = float((np.abs(stage) ** 2).sum())
     if power <= 0:
         return None
@@ -235,6 +276,14 @@ def _warnings(presses: PressImages, found: ScaleEvidence) -> list[str]:
                 f"the stated mm_per_px is {stated:.4f}, but {ruler.name} say {ruler.mm_per_px:.4f} "
                 f"± {ruler.stderr:.4f} ({apart:+.0%}): check both; --mm-per-px "
                 f"{ruler.mm_per_px:.4f} sets the scale"
+            )
+    if found.stretch is not None:
+        apart, error = found.stretch.factor - 1, found.stretch.stderr
+        if abs(apart) > max(RULES.clear_share, RULES.clear_sigmas * error):
+            lines.append(
+                f"by the stage's places, a pixel is {found.stretch.factor:.3f} ± {error:.3f} times "
+                "as wide as high: the pictures were stretched, or x_mm or y_mm is in another "
+                "scale; resize them so that pixels are squares, or correct x_mm and y_mm"
             )
     if stated > found.largest_mm_per_px:
         lines.append(

@@ -16,10 +16,12 @@ from numpy.typing import NDArray
 
 from tacgen.core.errors import TableError
 from tacgen.core.files import sha256_of
-from tacgen.core.safe_io import check_archive, read_rgb
+from tacgen.core.safe_io import check_archive, read_npy, read_rgb
 from tacgen.core.version import __version__
 from tacgen.optics.table import N_FEATURES, LookupTable, save_table
 
+MAX_POLYCALIB_BYTES = 1 << 26  # one of 125 bins, the most that Taxim uses, has 2 MB
+MAX_BACKGROUND_BYTES = 1 << 28
 CHANNELS_RGB = ("grad_b", "grad_g", "grad_r")
 """Which of its arrays holds which channel: Taxim names OpenCV's first channel r."""
 
@@ -106,7 +108,7 @@ def pixel_features_from_position(shape_px: tuple[int, int]) -> NDArray[np.float6
 
 def _read_polycalib(path: Path) -> dict[str, NDArray[np.float64]]:
     try:
-        check_archive(path)
+        check_archive(path, MAX_POLYCALIB_BYTES)
         with np.load(path, allow_pickle=False) as archive:
             missing = [name for name in CHANNELS_RGB if name not in archive.files]
             if missing:
@@ -143,7 +145,7 @@ def _read_background(path: Path) -> NDArray[np.float64]:
     image = None
     try:
         if path.suffix == ".npy":
-            image = np.load(path, allow_pickle=False)
+            image = read_npy(path, MAX_BACKGROUND_BYTES)
         elif path.suffix == ".npz":
             check_archive(path)
             with np.load(path, allow_pickle=False) as archive:
@@ -156,7 +158,7 @@ def _read_background(path: Path) -> NDArray[np.float64]:
         raise TableError(msg) from None
     if image is None:
         return read_rgb(path, TableError).astype(np.float64)
-    if image.ndim != 3 or image.shape[2] != 3:
-        msg = f"{path}: is not an image of shape (H, W, 3)"
+    if image.ndim != 3 or image.shape[2] != 3 or image.dtype.kind not in "uif":
+        msg = f"{path}: is {image.dtype} of {image.shape}, not an image of shape (H, W, 3)"
         raise TableError(msg)
     return np.asarray(image[..., ::-1], dtype=np.float64)

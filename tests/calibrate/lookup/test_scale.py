@@ -75,6 +75,18 @@ def test_a_stated_scale_that_is_off_is_said(folder):
 
 
 @pytest.mark.slow
+def test_pixels_that_are_no_squares_are_said(folder, honest):
+    """Pictures stretched by 8 % are as a stage whose axis along their width is shorter by it."""
+    assert honest.stretch.factor == pytest.approx(1.0, abs=3 * honest.stretch.stderr)
+    presses = read(folder, dot_pitch_mm=0.0)
+    # The stage's y is along the picture's width.
+    found = evidence(replace(presses, stage_mm=presses.stage_mm / np.array([1.0, 1.08])))
+    assert found.stretch.factor == pytest.approx(1 / 1.08, abs=3 * found.stretch.stderr)
+    said = "\n".join(found.warnings)
+    assert "times as wide as high: the pictures were stretched" in said
+
+
+@pytest.mark.slow
 def test_on_a_dome_a_ball_touches_beside_its_centre(folder):
     """Places of a ball's centre are farther apart than its contacts: no reason for a warning."""
     presses = read(folder, dot_pitch_mm=0.0)
