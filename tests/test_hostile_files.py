@@ -261,6 +261,16 @@ def test_plans_of_datasets(tmp_path, changes, words):
     folder.plan_path.write_text(json.dumps(plan))
     with pytest.raises(DatasetError, match=words):
         DatasetFolder(folder.root).plan()
+
+
+def test_a_plan_of_a_newer_tacgen_says_so_whatever_it_holds(tmp_path):
+    folder = collect_toy(tmp_path / "data", make_spec(n_grasps=4))
+    folder.plan_path.write_text('{"schema": 3, "grasps": "elsewhere"}')
+    with pytest.raises(DatasetError, match="made by a newer tacgen .schema 3.*; upgrade tacgen"):
+        DatasetFolder(folder.root).plan()
+    folder.plan_path.write_text("[1]")
+    with pytest.raises(DatasetError, match="missing or broken"):
+        DatasetFolder(folder.root).plan()
     with pytest.raises(TacgenError):
         Dataset(folder.root)
 

@@ -115,7 +115,9 @@ def calibrate_score(
 @common.calibrate_app.command("import")
 def calibrate_import(
     polycalib: Annotated[Path, Argument(help="Taxim's polycalib.npz.")],
-    background: Annotated[Path, Option(help="Gel without contact: .npy (BGR) or an image file.")],
+    background: Annotated[
+        Path, Option(help="Gel without contact: image, .npy (BGR) or Taxim's dataPack.npz.")
+    ],
     mm_per_px: Annotated[float, Option(help="Pixel size on the gel, mm.")],
     out: TableOutput,
     force: common.ForceFlag = False,

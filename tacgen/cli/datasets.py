@@ -10,6 +10,7 @@ from typer import Option
 
 from tacgen.cli import common
 from tacgen.cli.common import quoted
+from tacgen.core.errors import TacgenError
 from tacgen.core.files import refuse_existing
 
 
@@ -280,6 +281,9 @@ def render(
     from tacgen.collection.grasp_gif import write_gif
     from tacgen.collection.recipe import load_recipe
 
+    if out.suffix.lower() != ".gif":
+        msg = f"--gif {out}: only GIF is written; give a name that ends in .gif"
+        raise TacgenError(msg)
     refuse_existing(force, out)
     outcome = write_gif(load_recipe(recipe), grasp, out)
     typer.echo(f"{out}: grasp {grasp}, {outcome}")

@@ -31,7 +31,8 @@ from tacgen.core.errors import ContactError, RecipeError
 from tacgen.core.files import write_text
 from tacgen.core.records import Estimate
 from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N, k_n_doubt
-from tacgen.core.yaml_source import read_yaml, validate
+from tacgen.core.version import newer_explains
+from tacgen.core.yaml_source import YamlSource, read_yaml, validate
 
 LawName = Literal["volume_linear", "linear_depth"]
 LAWS: tuple[LawName, ...] = ("volume_linear", "linear_depth")
@@ -363,6 +364,13 @@ def load_law(path: Path | str) -> ContactLaw:
         raise ContactError(str(error)) from None
     for key in [key for key, value in source.data.items() if value is None]:
         del source.data[key]
+    provenance = source.data.get("provenance")
+    versions = provenance.get("versions") if isinstance(provenance, dict) else None
+    with newer_explains(path, versions.get("tacgen") if isinstance(versions, dict) else None):
+        return _law_of(path, source)
+
+
+def _law_of(path: Path, source: YamlSource) -> ContactLaw:
     file = validate(LawFile, source, ContactError)
     ContactError.raise_if([f"{path}: {line}" for line in _unit_problems(file)])
     estimates = {

@@ -4,6 +4,7 @@ import io
 import math
 import warnings
 import zipfile
+import zlib
 from pathlib import Path
 from typing import IO, Any
 
@@ -73,6 +74,9 @@ def decode_rgb(
             with Image.open(io.BytesIO(data)) as image:
                 if max(image.size) <= MAX_SIDE_PX and math.prod(image.size) <= MAX_PIXELS:
                     _refuse_kind(image, where, error)
+                    if _is_cut_short(image.format, data):
+                        msg = f"{where}: is cut short or damaged; copy it again from its source"
+                        raise error(msg)
                     found = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
                     notes, turn = _about(image, data)
     except (OSError, ValueError, SyntaxError, UnidentifiedImageError, Image.DecompressionBombError,
@@ -174,6 +178,26 @@ def _refuse_kind(image: Any, where: str, error: type[TacgenError]) -> None:
     if image.mode in ("1", "CMYK", "LAB", "HSV"):
         msg = f"{where}: is of the kind {image.mode}, not red, green and blue; save it as RGB"
         raise error(msg)
+
+
+def _is_cut_short(kind: str | None, data: bytes) -> bool:
+    """Whether the bytes of a PNG or a JPEG end early, or a PNG's are not what its sums say.
+
+    The decoders write words of their own on it, and fill up the rest of a JPEG with grey.
+    """
+    if kind == "JPEG":
+        return b"\xff\xd9" not in data[data.rfind(b"\xff\xda") :]
+    place = 8 if kind == "PNG" else len(data)
+    while place < len(data):
+        length, name = int.from_bytes(data[place : place + 4]), data[place + 4 : place + 8]
+        end = place + 8 + length
+        total = data[end : end + 4]
+        if len(total) < 4 or zlib.crc32(memoryview(data)[place + 4 : end]) != int.from_bytes(total):
+            return True
+        if name == b"IEND":
+            return False
+        place = end + 4
+    return kind == "PNG"
 
 
 def _about(image: Any, data: bytes) -> tuple[list[str], int]:

@@ -294,7 +294,7 @@ def _describe(source: YamlSource, model: type[BaseModel], details: Any) -> str:
     kind, given = details["type"], details.get("input")
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         parent = _field_names(model, key_path[:-1])
-        near = did_you_mean(str(key_path[-1]), parent)
+        near = did_you_mean(str(key_path[-1]), parent) or _meant(str(key_path[-1]), parent, model)
         known = f"; known here: {', '.join(parent)}" if parent else ""
         return source.problem(key_path, f"is not a known key{near}{known}")
     if kind == "missing":
@@ -305,6 +305,19 @@ def _describe(source: YamlSource, model: type[BaseModel], details: Any) -> str:
     if isinstance(given, (str, int, float)):
         return source.problem(key_path, f"= {given!r}: {text}")
     return source.problem(key_path, text if key_path else f": {text}")
+
+
+def _meant(key: str, parent: Sequence[str], model: type[BaseModel]) -> str:
+    """`` (did you mean 'x'?)`` with a key beside it, or of another section, of which it is a part;
+    empty if there is none.
+    """
+    names = {name: name for name in parent}
+    sections = {name: _field_names(model, (name,)) for name in _field_names(model, ())}
+    # Of two sections with such a key the smaller one is about it.
+    by_size = sorted(sections.items(), key=lambda section: len(section[1]))
+    names |= {f"{above}.{name}": name for above, inner in by_size for name in inner}
+    near = (name for name, last in names.items() if last == key or last.endswith(f"_{key}"))
+    return next((f" (did you mean {name!r}?)" for name in near), "")
 
 
 _WORDS = {

@@ -13,7 +13,7 @@ from tacgen.core.errors import DatasetError
 from tacgen.core.files import sha256_of
 from tacgen.core.records import LABEL_FAILURE, LABEL_NOT_EXECUTED, LABEL_SUCCESS
 from tacgen.dataset.manifest import ShardLine
-from tacgen.dataset.schema import FAILURE_MODES, SPLITS, STATUSES, VALIDITY_FIELDS, Layout
+from tacgen.dataset.schema import FAILURE_MODES, FLAG_FIELDS, SPLITS, STATUSES, Layout
 from tacgen.dataset.shard import Shard, broken_as_error, is_image_sound, open_shard, read_image
 
 OUTCOME = {LABEL_SUCCESS: "success", LABEL_FAILURE: "failure", LABEL_NOT_EXECUTED: "not_executed"}
@@ -44,7 +44,7 @@ def validity(columns: Mapping[str, NDArray[Any]], layout: Layout) -> dict[str, d
     executed = columns["/grasp/status"] == b"executed"
     moments = columns["/grasp/grasp_frame"][executed]
     found: dict[str, dict[str, int]] = {"frames": {}, "grasps": {}}
-    for field in VALIDITY_FIELDS:
+    for field in FLAG_FIELDS:
         pads = [columns[layout.path(field, pad)][executed] != 0 for pad in layout.pads]
         at_moment = [flags[np.arange(len(moments)), moments] for flags in pads]
         found["frames"][field.name] = int(np.sum(pads))

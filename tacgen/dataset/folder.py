@@ -184,9 +184,12 @@ class DatasetFolder:
         plan: dict[str, Any] = {}
         is_whole = False
         with contextlib.suppress(
-            FileNotFoundError, ValueError, KeyError, TypeError, RecursionError
+            FileNotFoundError, ValueError, KeyError, TypeError, AttributeError, RecursionError
         ):
             plan = json.loads(read_small_text(self.plan_path, MAX_PLAN_BYTES))
+            if problem := newer_problem(plan.get("schema", 1), 1):
+                msg = f"{self.plan_path}: {problem}"
+                raise DatasetError(msg)
             numbers = [plan[name] for name in ("n_grasps", "shard_size", "n_shards")]
             is_whole = all(isinstance(number, int) and number > 0 for number in numbers)
             kinds = {"inputs": dict, "grids": list, "parts": list}
@@ -198,9 +201,6 @@ class DatasetFolder:
             name = self.plan_path.name
             msg = f"{self.root} is not a dataset: {name} is missing or broken; {fix}"
             raise MissingPlanError(msg)
-        if problem := newer_problem(plan.get("schema", 1), 1):
-            msg = f"{self.plan_path}: {problem}"
-            raise DatasetError(msg)
         if plan["n_shards"] > MAX_SHARDS or plan["n_grasps"] > MAX_SHARDS * plan["shard_size"]:
             n_shards = max(plan["n_shards"], -(-plan["n_grasps"] // plan["shard_size"]))
             msg = f"{self.plan_path}: {n_shards:g} shards, more than {MAX_SHARDS}; make fewer"

@@ -3,6 +3,7 @@
 Such a folder holds ``grasps.csv`` and ``images/<grasp_id>/<k>.png`` in time order.
 """
 
+import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -96,7 +97,8 @@ def read_poseit(source: Path, notes: Notes) -> Iterator[ImportedGrasp]:
             result = _poseit_result(_two_columns(folder / "label.csv"))
             images = tuple(_poseit_frames(folder / "gelsight", stages))
         except (OSError, ValueError, DatasetError) as error:
-            notes.left_out.append(f"{folder}: not imported: {error}")
+            why = str(error).removeprefix(f"{folder}{os.sep}")
+            notes.left_out.append(f"{folder}: not imported: {why}")
             continue
         columns: dict[str, float | int | str] = {
             "object": match["object"],

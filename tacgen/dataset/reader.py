@@ -101,28 +101,35 @@ class Dataset:
     def __getitem__(self, place: int | slice) -> dict[str, Any] | list[dict[str, Any]]:
         """The grasp at a place of ``indices`` as plain values, or a list of them for a slice.
 
-        ``rgb`` (T, H, W, 3) uint8 of the first pad, and every entry of ``columns``: ``label``
-        (1, 0, or -1 where it was not executed), ``object``, ``force_n``, ``x_mm`` …
+        ``rgb`` (T, H, W, 3) uint8 of the first pad, where there are two also ``rgb_left`` and
+        ``rgb_right``, and every entry of ``columns``: ``label`` (1, 0, or -1 where it was not
+        executed), ``object``, ``force_n``, ``x_mm`` …
         """
         indices = self.indices
         if isinstance(place, slice):
             return [self[k] for k in range(*place.indices(len(indices)))]
         index = int(indices[place])
-        return {"rgb": self.rgb(index), **self._row(index)}
+        images = {f"rgb_{pad}": self.rgb(index, pad) for pad in self.pads}
+        first = images[f"rgb_{self.pads[0]}"]
+        return {"rgb": first, **(images if len(images) > 1 else {}), **self._row(index)}
 
     def torch(
         self,
         split: Literal["train", "test"] | None = None,
         frames: Literal["grasp", "sequence"] = "grasp",
+        pad: str | None = None,
     ) -> TorchGrasps:
         """The executed grasps for ``torch.utils.data.DataLoader``: (images, label) pairs.
 
         ``split`` is one side of the recipe's split, both by default. ``frames`` is the frame of the
-        moment of ``grasp``, (3, H, W), or all, (T, 3, H, W); float32 in [0, 1].
+        moment of ``grasp``, (3, H, W), or all, (T, 3, H, W); float32 in [0, 1]. Of two pads both
+        are given, stacked in front in the order of ``pads``: (2, 3, H, W) or (2, T, 3, H, W);
+        ``pad`` chooses one.
         """
         from tacgen.dataset.torch_dataset import TorchGrasps
 
-        return TorchGrasps(self, split, frames)
+        pads = self.pads if pad is None else (self._pad(pad),)
+        return TorchGrasps(self, split, frames, pads)
 
     @property
     def indices(self) -> NDArray[np.int64]:

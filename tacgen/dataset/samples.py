@@ -18,7 +18,7 @@ from tacgen.core.records import (
     Until,
 )
 from tacgen.dataset.inputs import Inputs
-from tacgen.dataset.schema import FIELDS, STATE_FIELDS, VALIDITY, Field, Layout
+from tacgen.dataset.schema import FIELDS, FLAG_FIELDS, STATE_FIELDS, VALIDITY, Layout
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,15 +82,19 @@ class GraspSample:
     outcome_time_s: float = math.nan
 
 
-def frame_columns(
-    pad: PadSample, fields: Sequence[Field] = STATE_FIELDS
-) -> dict[str, NDArray[np.floating]]:
+def frame_columns(pad: PadSample) -> dict[str, NDArray[np.floating]]:
     """The numbers of a pad's frames as columns of a table, (T,) each."""
     found: dict[str, NDArray[np.floating]] = {}
-    for one in fields:
+    for one in STATE_FIELDS:
         values = np.asarray(one.value(pad))
         found |= zip(one.column_names, values.reshape(len(values), -1).T, strict=True)
     return found
+
+
+def frame_flags(pad: PadSample) -> dict[str, NDArray[np.bool_]]:
+    """What is true or false of a pad's frames, (T,) each, as far as the dataset has it."""
+    known = {one.name: one.value(pad) for one in FLAG_FIELDS}
+    return {name: np.asarray(held) > 0 for name, held in known.items() if held is not None}
 
 
 def frame_times_s(

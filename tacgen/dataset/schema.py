@@ -228,10 +228,12 @@ COLUMNS = tuple(field for field in FIELDS if field.group == "grasp")
 PAD_FIELDS = tuple(field for field in FIELDS if field.of == "pad")
 FRAME_FIELDS = tuple(f for f in PAD_FIELDS if f.axes[:2] == ("N", "T") and not f.noisy)
 """Figures of each frame of a pad, (N, T, …)."""
-VALIDITY_FIELDS = tuple(f for f in FRAME_FIELDS if f.name in VALIDITY)
-"""Those that say what the frame's image does not show."""
+FLAG_FIELDS = tuple(
+    f for f in FRAME_FIELDS if f.axes == ("N", "T") and f.dtype in ("bool", "uint8")
+)
+"""Those that are true or false; a pad without one has None there."""
 STATE_FIELDS = tuple(
-    f for f in FRAME_FIELDS if f.axes in (("N", "T"), ("N", "T", 2)) and f.name not in VALIDITY
+    f for f in FRAME_FIELDS if f.axes in (("N", "T"), ("N", "T", 2)) and f not in FLAG_FIELDS
 )
 """Those that are numbers and vectors."""
 

@@ -28,14 +28,18 @@ class Grasps(Protocol):
 class TorchGrasps(TorchDataset[tuple[torch.Tensor, torch.Tensor]]):
     """(images, label) of each executed grasp; images float32 in [0, 1], channels first.
 
+    Those of several ``pads`` are stacked in front.
+
     Raises ``DatasetError`` if ``split`` or ``frames`` is unknown, or no executed grasp is on that
     side of the split.
     """
 
-    def __init__(self, dataset: Grasps, split: str | None, frames: str) -> None:
+    def __init__(
+        self, dataset: Grasps, split: str | None, frames: str, pads: tuple[str, ...]
+    ) -> None:
         require_known("split", split or "train", SPLITS, DatasetError)
         require_known("frames", frames, ("grasp", "sequence"), DatasetError)
-        self._dataset, self._frames = dataset, frames
+        self._dataset, self._frames, self._pads = dataset, frames, pads
         columns = dataset.columns()
         chosen = columns["label"] != LABEL_NOT_EXECUTED
         if split is not None:
@@ -57,6 +61,8 @@ class TorchGrasps(TorchDataset[tuple[torch.Tensor, torch.Tensor]]):
         if not -len(self) <= place < len(self):
             raise IndexError(place)
         frame = int(self._grasp_frame[place]) if self._frames == "grasp" else None
-        rgb = self._dataset.rgb(int(self.indices[place]), frame=frame)
+        index = int(self.indices[place])
+        each = [self._dataset.rgb(index, pad, frame) for pad in self._pads]
+        rgb = each[0] if len(each) == 1 else np.stack(each)
         images = torch.from_numpy(np.ascontiguousarray(np.moveaxis(rgb, -1, -3)))
         return images.float() / 255.0, self.labels[place]

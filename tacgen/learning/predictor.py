@@ -105,6 +105,14 @@ class Predictor:
         if self.spec.kind == "single" and len(frames) > 1:
             msg = f"the run is of a single-image network: give one image a grasp, not {len(frames)}"
             raise LearningError(msg)
+        reference = self._reference
+        is_colour = reference is not None and np.ptp(reference, axis=-1).any()
+        if is_colour and any(not np.ptp(frame, axis=-1).any() for frame in frames):
+            msg = (
+                "an image is grey, its three channels are equal, and the network was trained on "
+                "colour: give the pictures as the sensor takes them"
+            )
+            raise LearningError(msg)
         return resized(frames[chosen_frames(self.spec, len(frames), 0)], self.spec.size_px)
 
 
@@ -123,11 +131,19 @@ def predict_files(predictor: Predictor, paths: Sequence[Path]) -> list[dict[str,
     else:
         listed = dict(groups)
         groups = [(one, [one]) for path in paths for one in listed.get(path, [path])]
-    images = [np.stack([read_rgb(path, LearningError) for path in files]) for _, files in groups]
+    images = [
+        np.stack([_read_checked(path, predictor.spec) for path in files]) for _, files in groups
+    ]
     return [
         {"images": str(path), "probability": float(p)}
         for (path, _), p in zip(groups, predictor.predict(images), strict=True)
     ]
+
+
+def _read_checked(path: Path, spec: InputSpec) -> NDArray[np.uint8]:
+    image = read_rgb(path, LearningError)
+    _check_size(image, spec, str(path))
+    return image
 
 
 def _images_of(folder: Path, *, sequence: bool = True) -> list[Path]:

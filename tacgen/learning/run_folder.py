@@ -13,6 +13,7 @@ from tacgen.core.disk import disk_message
 from tacgen.core.errors import LearningError
 from tacgen.core.files import read_small_text, refuse_foreign, write_text
 from tacgen.core.lock import holder_of, locked
+from tacgen.core.version import newer_problem
 from tacgen.dataset.folder import differences
 from tacgen.learning.training_recipe import TrainRecipe
 
@@ -128,6 +129,9 @@ class RunFolder:
     def plan(self) -> dict[str, Any]:
         """The content of ``run.json``; raises ``LearningError`` if the folder is not a run's."""
         plan = read_json(self.plan_path, "give the folder that `tacgen train --out` made")
+        if newer := newer_problem(plan.get("schema"), SCHEMA):
+            msg = f"{self.plan_path}: {newer}"
+            raise LearningError(msg)
         try:
             _Plan.model_validate(plan)
         except ValidationError as error:

@@ -77,11 +77,9 @@ def find_circle(
     the shading is best explained by a ball, because lamps draw the edge to one side. ``hidden``
     (H, W) are pixels that show no gel: printed dots.
     """
-    height, width = image.shape[:2]
-    scale = min(1.0, WORK_WIDTH_PX / width)
-    size = (max(8, round(width * scale)), max(8, round(height * scale)))
-    seen, rest = coarse(image, size, hidden), coarse(background, size, hidden)
-    change = _without_drift(np.asarray(cv2.GaussianBlur(seen - rest, (0, 0), 1.0)))
+    scale, size = _work_size(image)
+    rest = coarse(background, size, hidden)
+    change = drift_free_change(image, background, hidden)
     nothing = Circle(np.full(2, np.nan), float("nan"), "shows no contact")
     if _scatter_and_top(np.linalg.norm(change, axis=2))[2] < MIN_CHANGE_GREY:
         return nothing
@@ -100,6 +98,22 @@ def find_circle(
         others = np.zeros_like(others)
     problem = problem or _problem(patch, others, center, radius)
     return Circle((center + 0.5) / scale - 0.5, radius / scale, problem, edge / scale)
+
+
+def drift_free_change(
+    image: NDArray[Any], background: NDArray[Any], hidden: BoolArray | None = None
+) -> FloatArray:
+    """What a picture changes of the background (h, w, 3), at most 160 px wide, less the drift."""
+    _, size = _work_size(image)
+    seen, rest = coarse(image, size, hidden), coarse(background, size, hidden)
+    return _without_drift(np.asarray(cv2.GaussianBlur(seen - rest, (0, 0), 1.0)))
+
+
+def _work_size(image: NDArray[Any]) -> tuple[float, tuple[int, int]]:
+    """Scale and size (width, height) of the pictures that are looked at."""
+    height, width = image.shape[:2]
+    scale = min(1.0, WORK_WIDTH_PX / width)
+    return scale, (max(8, round(width * scale)), max(8, round(height * scale)))
 
 
 def _without_drift(change: FloatArray) -> FloatArray:
@@ -271,3 +285,19 @@ def outside_share(center_px: FloatArray, radius_px: float, shape_px: tuple[int, 
     column, row = center_px[0] + radius_px * x[disc], center_px[1] + radius_px * y[disc]
     seen = (column > -0.5) & (column < width - 0.5) & (row > -0.5) & (row < height - 0.5)
     return float(1 - seen.mean())
+
+
+def disc_of(circle: Circle, shape_px: tuple[int, int]) -> tuple[BoolArray, int]:
+    """Pixels of a circle on a lattice that holds a thousand of them, and how wide that is."""
+    step = max(1, int(circle.radius_px / 20))
+    rows, columns = np.arange(0, shape_px[0], step)[:, None], np.arange(0, shape_px[1], step)
+    x_px, y_px = circle.center_px
+    return (columns - x_px) ** 2 + (rows - y_px) ** 2 <= circle.radius_px**2, step
+
+
+def change_in(image: NDArray[np.uint8], rest: NDArray[np.uint8], circle: Circle) -> float:
+    """How much more the circle differs from the gel at rest than the remaining image does."""
+    disc, step = disc_of(circle, rest.shape[:2])
+    change = image[::step, ::step].astype(np.float32) - rest[::step, ::step]
+    change = np.abs(change - np.median(change, axis=(0, 1))).mean(axis=2)
+    return float(change[disc].mean() - np.median(change[~disc]))

@@ -25,9 +25,9 @@ from tacgen.core.images import encode_png
 from tacgen.core.optional_dependencies import require_extra
 from tacgen.core.progress import print_status
 from tacgen.core.safe_io import check_archive, decode_rgb, read_rgb
+from tacgen.presses.background_check import MIN_PRESSES
 from tacgen.presses.circles import find_circle
 from tacgen.presses.press_folder import COORDINATES, STAGE
-from tacgen.presses.screening import MIN_PRESSES
 
 GS_SDK_MM_PER_PX = 0.0634
 """GelSight Mini at 320 × 240 px, from gs_sdk's ``gsmini.yaml`` (called ``ppmm`` there)."""

@@ -237,8 +237,9 @@ def read_files(reader: ImageReader, paths: Sequence[Path], out: Path) -> list[di
     names = _names(paths)
     readings = []
     for path in paths:
+        rgb = read_rgb(path, SensorError)
         try:
-            readings.append(reader.read(read_rgb(path, SensorError)))
+            readings.append(reader.read(rgb))
         except (SensorError, TableError) as error:
             msg = f"{path}: {error}"
             raise SensorError(msg) from None

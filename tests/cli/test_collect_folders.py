@@ -87,3 +87,10 @@ def test_an_animation_does_not_replace_a_file(recipe, tmp_path):
     assert result.exit_code != 0
     assert "exists already; pass --force" in str(result.exception)
     assert there.read_bytes() == b"mine"
+
+
+def test_an_animation_is_a_gif(recipe, tmp_path):
+    result = run("render", recipe, "--gif", tmp_path / "a.mp4")
+    assert result.exit_code != 0
+    assert "a.mp4: only GIF is written; give a name that ends in .gif" in str(result.exception)
+    assert not (tmp_path / "a.mp4").exists()

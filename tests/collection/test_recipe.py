@@ -330,3 +330,16 @@ def test_markers_of_a_rigs_sensor_without_any_are_refused(tmp_path):
     path.write_text("name: r\nsensor: digit\nimages: {markers: true}\n")
     with pytest.raises(RecipeError, match="images.markers = true: the sensor digit has no markers"):
         load_rig_recipe(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("pads: both\n", r"pads is not a known key \(did you mean 'robot.tactile_pads'\?\)"),
+        ("robot: {pads: both}\n", r"robot.pads is not a known key \(did you mean 'tactile_pads'"),
+    ],
+)
+def test_a_part_of_a_key_hints_the_key(tmp_path, text, words):
+    (tmp_path / "r.yaml").write_text(f"name: a\nobjects: [can]\n{text}")
+    with pytest.raises(RecipeError, match=words):
+        load_recipe(tmp_path / "r.yaml")

@@ -159,3 +159,22 @@ def test_a_missing_file_names_the_command(tmp_path):
 def test_columns_that_cannot_be_used(columns, words):
     with pytest.raises(ContactError, match=words):
         ContactLaw.linear(5.0).predict(columns)
+
+
+@pytest.mark.parametrize(
+    ("made_by", "newer"), [("999.1.0", True), ("999.1.dev3+g1", True), ("0.0.1", False), (3, False)]
+)
+def test_a_law_of_a_newer_tacgen_says_so_where_it_cannot_be_read(tmp_path, made_by, newer):
+    path = tmp_path / "contact.yaml"
+    content = {
+        "law": "volume_linear",
+        "k_n_mm3_per_n": {"value": 5.0, "stderr": 0.1},
+        "provenance": {"versions": {"tacgen": made_by}},
+    }
+    path.write_text(yaml.safe_dump(content))
+    assert load_law(path).k_n_mm3_per_n.value == 5.0
+    odd = {"name": "telepathy", "channel": "normal", "parameters": {}}
+    path.write_text(yaml.safe_dump(content | {"effects": [odd]}))
+    words = "made by a newer tacgen .999.1.*; upgrade tacgen" if newer else "telepathy"
+    with pytest.raises(ContactError, match=words):
+        load_law(path)

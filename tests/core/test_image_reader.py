@@ -141,3 +141,29 @@ def test_a_damaged_file_is_no_image(tmp_path):
     (tmp_path / "a.png").write_bytes(buffer.getvalue()[:40])
     with pytest.raises(TacgenError, match="cannot be read as an image"):
         read_rgb(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("kind", ["PNG", "JPEG"])
+@pytest.mark.parametrize("share", [0.5, 0.9, 0.999])
+def test_a_file_cut_short_is_said_without_a_decoders_words(tmp_path, capfd, kind, share):
+    buffer = io.BytesIO()
+    Image.fromarray(RGB).resize((200, 150)).save(buffer, kind, quality=95)
+    whole, path = buffer.getvalue(), tmp_path / f"a.{kind.lower()}"
+    path.write_bytes(whole)
+    assert read_rgb(path).shape == (150, 200, 3)
+    path.write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(TacgenError, match=f"{path.name}: is cut short or damaged") as error:
+        read_rgb(path)
+    assert str(error.value).count(path.name) == 1
+    assert capfd.readouterr().err == ""
+
+
+def test_a_flipped_bit_in_a_png_is_said(tmp_path, capfd):
+    buffer = io.BytesIO()
+    Image.fromarray(RGB).save(buffer, "PNG")
+    data = bytearray(buffer.getvalue())
+    data[len(data) // 2] ^= 16
+    (tmp_path / "a.png").write_bytes(data)
+    with pytest.raises(TacgenError, match="is cut short or damaged"):
+        read_rgb(tmp_path / "a.png")
+    assert capfd.readouterr().err == ""

@@ -6,6 +6,7 @@ import io
 import json
 import math
 import tarfile
+from types import SimpleNamespace
 
 import cv2
 import h5py
@@ -13,8 +14,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tacgen.dataset import Dataset
+from tacgen.dataset import Dataset, samples
 from tacgen.dataset.export import export_dataset
+from tacgen.dataset.schema import Field
 
 from .conftest import collect_toy, make_spec
 
@@ -134,3 +136,73 @@ def test_lerobot_has_the_depth_of_each_episode(with_depth, tmp_path):
     for episode, index in zip(episodes["episode_index"], episodes["grasp_index"], strict=True):
         depth = np.load(tmp_path / "out" / "depth_mm" / f"episode_{episode:06d}_left.npy")
         np.testing.assert_array_equal(depth, with_depth.read(int(index)).pads["left"].depth_mm)
+
+
+@pytest.fixture(scope="module")
+def two_pads(tmp_path_factory):
+    spec = make_spec(depth=True, pads=("left", "right"))
+    folder = collect_toy(tmp_path_factory.mktemp("pads") / "data", spec)
+    folder.merge()
+    return Dataset(folder.root)
+
+
+@pytest.mark.parametrize("name", ["images", "real-grasps"])
+def test_folders_of_pictures_hold_both_pads(two_pads, tmp_path, name):
+    out = tmp_path / "out"
+    said = export_dataset(two_pads.root, out, name)["content"]
+    index = int(executed(two_pads)[1])
+    for pad, suffix in (("left", ""), ("right", "_right")):
+        place = out / f"images{suffix}" / f"g{index:05d}"
+        picture = cv2.imread(str(place / "2.png"))[..., ::-1]
+        np.testing.assert_array_equal(picture, two_pads.rgb(index, pad, 2))
+        assert (out / f"background{suffix}.png").is_file()
+        if name == "images":
+            sample = two_pads.read(index).pads[pad]
+            forces = pd.read_csv(out / f"contact{suffix}" / f"g{index:05d}.csv")
+            np.testing.assert_allclose(forces["force_normal_n"], sample.force_normal_n)
+            depth = np.load(out / f"depth{suffix}" / f"g{index:05d}.npy")
+            np.testing.assert_array_equal(depth, sample.depth_mm.astype(np.float32))
+            assert "depth of the moment of grasp alone" in said
+    assert "right pad" in said
+    about = json.loads((out / "about.json").read_text())
+    assert about["images"] == {"left": "images", "right": "images_right"}
+
+
+def test_a_grasp_in_python_has_both_pads(two_pads):
+    place = 1
+    index, grasp = int(two_pads.indices[place]), two_pads[place]
+    np.testing.assert_array_equal(grasp["rgb"], two_pads.rgb(index, "left"))
+    for pad in ("left", "right"):
+        np.testing.assert_array_equal(grasp[f"rgb_{pad}"], two_pads.rgb(index, pad))
+
+
+def test_torch_stacks_both_pads(two_pads):
+    pytest.importorskip("torch")
+    index = int(executed(two_pads)[2])
+    both = two_pads.torch(frames="sequence")[2][0].numpy()
+    assert both.shape == (2, 3, 3, 24, 32)
+    right = np.moveaxis(two_pads.rgb(index, "right"), -1, 1) / np.float32(255)
+    np.testing.assert_allclose(both[1], right, rtol=1e-6)
+    assert two_pads.torch()[2][0].shape == (2, 3, 24, 32)
+    np.testing.assert_allclose(
+        two_pads.torch(frames="sequence", pad="right")[2][0].numpy(), right, rtol=1e-6
+    )
+
+
+@pytest.mark.parametrize("depth", [False, True])
+def test_exports_say_what_there_is_of_depth(tmp_path, depth):
+    folder = collect_toy(tmp_path / "data", make_spec(depth=depth))
+    said = export_dataset(folder.root, tmp_path / "out", "webdataset")["content"]
+    assert "in 1 tar file of" in said
+    assert ("depth of the moment of grasp alone" if depth else "no depth") in said
+
+
+def test_flags_of_frames_are_columns_where_a_dataset_has_them(monkeypatch):
+    def flag(name):
+        return Field("contact", name, "bool", ("N", "T"), "1", "gel", "", f"pad.{name}")
+
+    monkeypatch.setattr(samples, "FLAG_FIELDS", (flag("saturated"), flag("far_out")))
+    pad = SimpleNamespace(saturated=np.array([0, 1, 1], np.uint8))
+    found = samples.frame_flags(pad)
+    assert list(found) == ["saturated"]
+    assert found["saturated"].tolist() == [False, True, True]

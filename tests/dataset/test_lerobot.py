@@ -122,3 +122,26 @@ def test_the_robot_is_the_recipes(tmp_path, robot):
     export_dataset(toy.root, tmp_path / "out", "lerobot")
     info = json.loads((tmp_path / "out/meta/info.json").read_text())
     assert info["robot_type"] == robot
+
+
+@pytest.mark.parametrize(("n_frames", "span_s", "fps"), [(24, 3.0, 23 / 3), (25, 3.0, 8)])
+def test_timestamps_are_the_times_of_the_frames(tmp_path, n_frames, span_s, fps):
+    """By the format's rule, timestamp = frame_index / fps, and within its tolerance of 0.1 ms."""
+    times_s = tuple(np.linspace(0.0, span_s, n_frames).tolist())
+    toy = collect_toy(tmp_path / "toy", make_spec(time_s=times_s))
+    said = export_dataset(toy.root, tmp_path / "out", "lerobot")["content"]
+    info = json.loads((tmp_path / "out/meta/info.json").read_text())
+    assert info["fps"] == pytest.approx(fps, rel=1e-12)
+    assert isinstance(info["fps"], type(fps))
+    frames = pq.read_table(tmp_path / "out/data/chunk-000/file-000.parquet").to_pandas()
+    for _, episode in frames.groupby("episode_index"):
+        stamps = episode["timestamp"].to_numpy(np.float64)
+        np.testing.assert_allclose(stamps, times_s, atol=1e-4)
+        np.testing.assert_allclose(np.diff(stamps), 1 / info["fps"], atol=1e-4)
+    assert "timestamps" not in said
+
+
+def test_frames_that_are_not_evenly_spaced_are_said(tmp_path):
+    toy = collect_toy(tmp_path / "toy", make_spec(time_s=(0.0, 0.2, 1.0)))
+    said = export_dataset(toy.root, tmp_path / "out", "lerobot")["content"]
+    assert "up to 0.300 s off the times at which frames were taken, which are in time_s" in said

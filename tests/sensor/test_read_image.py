@@ -484,3 +484,11 @@ def test_a_missing_image_is_named(sensor, tmp_path):
 
 def test_read_image_is_part_of_the_api():
     assert tacgen.read_image is read_image
+
+
+def test_a_file_that_is_no_picture_is_named_once(reader, tmp_path):
+    path = tmp_path / "cut.png"
+    path.write_bytes(b"\x89PNG\r\n\x1a\n")
+    with pytest.raises(SensorError) as error:
+        read_files(reader, [path], tmp_path / "out")
+    assert str(error.value).count("cut.png") == 1

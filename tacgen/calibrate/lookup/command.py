@@ -67,7 +67,7 @@ def score_presses(
         balls = table.provenance.get("ball_radius_mm", ())
         ball_radius_mm = ball_radius_mm or (float(balls[0]) if len(balls) == 1 else None)
     raw = read_presses(presses_path, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm)
-    presses = usable_presses(raw, least=1)
+    presses = usable_presses(raw, least=1, every=True)
     return score_table(table, presses, gradients=True), presses
 
 

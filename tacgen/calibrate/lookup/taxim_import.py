@@ -31,8 +31,8 @@ def import_polycalib(path: Path, background: Path, mm_per_px: float) -> LookupTa
 
     It holds ``bins`` and ``grad_r``, ``grad_g``, ``grad_b`` (bins, bins, 6), features x², y², xy,
     x, y, 1 in raw pixels, row index ⌊atan|∇h| / (½π/(bins − 1))⌋, column index
-    ⌊(direction + π) / (2π/(bins − 1))⌋. ``background`` is .npy (BGR, as Taxim keeps it) or an image
-    file.
+    ⌊(direction + π) / (2π/(bins − 1))⌋. ``background`` is .npy or a
+    ``dataPack.npz`` with its ``f0`` (BGR, as Taxim keeps them), or an image file.
 
     Raises ``TableError`` if either file is not what it should be.
 
@@ -138,13 +138,22 @@ def _read_polycalib(path: Path) -> dict[str, NDArray[np.float64]]:
 
 
 def _read_background(path: Path) -> NDArray[np.float64]:
-    """The background (H, W, 3), RGB."""
+    """The background (H, W, 3), RGB: an image file, an array, or the ``f0`` of a dataPack."""
     if not path.is_file():
         msg = f"{path}: no such background; give the image of the untouched gel"
         raise TableError(msg)
+    image = None
     try:
-        image = read_npy(path, MAX_BACKGROUND_BYTES) if path.suffix == ".npy" else None
-    except (OSError, ValueError) as error:
+        if path.suffix == ".npy":
+            image = read_npy(path, MAX_BACKGROUND_BYTES)
+        elif path.suffix == ".npz":
+            check_archive(path)
+            with np.load(path, allow_pickle=False) as archive:
+                image = archive["f0"]
+    except KeyError:
+        msg = f"{path}: has no f0; give Taxim's dataPack.npz, a .npy or an image of the gel at rest"
+        raise TableError(msg) from None
+    except (OSError, ValueError, BadZipFile) as error:
         msg = f"{path}: cannot be read as an array: {error}"
         raise TableError(msg) from None
     if image is None:

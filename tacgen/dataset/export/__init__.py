@@ -59,8 +59,20 @@ def export_dataset(
         dataset = Dataset(root)
         grasps, not_executed = _chosen(dataset, split)
         content = writer(dataset, grasps, folder)
+        if images and format_name != "real-grasps":
+            content += _depth_note(dataset)
     counts = {"grasps": len(grasps), "not_executed": not_executed}
     return {"folder": str(out), "format": format_name, **counts, "content": content}
+
+
+def _depth_note(dataset: Dataset) -> str:
+    """What there is of depth, for the message."""
+    depth = next((field for field in dataset.layout.fields if field.name == "depth_mm"), None)
+    if depth is None:
+        return "; no depth, which the recipe did not keep"
+    if "T" in depth.axes:
+        return "; depth of every frame"
+    return "; depth of the moment of grasp alone, as the dataset has it"
 
 
 def _chosen(dataset: Dataset, split: str | None) -> tuple[pd.DataFrame, int]:

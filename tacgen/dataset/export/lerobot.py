@@ -19,8 +19,8 @@ from tacgen.core.errors import DatasetError
 from tacgen.core.images import encode_png
 from tacgen.core.optional_dependencies import require_extra
 from tacgen.dataset.reader import Dataset
-from tacgen.dataset.samples import GraspSample, frame_columns
-from tacgen.dataset.schema import ACTION, SPLITS, STATE_FIELDS, VALIDITY
+from tacgen.dataset.samples import GraspSample, frame_columns, frame_flags
+from tacgen.dataset.schema import ACTION, FLAG_FIELDS, SPLITS, STATE_FIELDS
 
 require_extra("parquet", "--format lerobot needs", DatasetError)
 import pyarrow as pa  # noqa: E402
@@ -36,7 +36,6 @@ _GREY = np.arange(256) / 255.0
 _SCALARS = {
     "label": "int64",
     "time_s": "float32",
-    **dict.fromkeys(VALIDITY, "bool"),
     "next.done": "bool",
     "next.success": "bool",
     "timestamp": "float32",
@@ -61,7 +60,13 @@ def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
         if export.writer is not None:
             export.writer.close()
     export.write_meta(int((split == "train").sum()))
-    return f"{len(export.episodes)} episodes in LeRobot's format {CODEBASE_VERSION}"
+    said = f"{len(export.episodes)} episodes in LeRobot's format {CODEBASE_VERSION}"
+    if export.off_s > 1e-3:
+        said += (
+            f": its timestamps are frame_index / fps with fps = {export.fps:.4g}, up to "
+            f"{export.off_s:.3f} s off the times at which frames were taken, which are in time_s"
+        )
+    return said
 
 
 def _image_name(dataset: Dataset, pad: str) -> str:
@@ -69,8 +74,13 @@ def _image_name(dataset: Dataset, pad: str) -> str:
     return f"observation.images.{dataset.sensor}{suffix}"
 
 
+def _prefixes(dataset: Dataset) -> dict[str, str]:
+    """What names of a pad begin with, by pad."""
+    return {pad: "" if len(dataset.pads) == 1 else f"{pad}." for pad in dataset.pads}
+
+
 def _features(dataset: Dataset) -> dict[str, dict[str, Any]]:
-    prefixes = [""] if len(dataset.pads) == 1 else [f"{pad}." for pad in dataset.pads]
+    prefixes = list(_prefixes(dataset).values())
     vectors = {
         "observation.state": [prefix + name for prefix in prefixes for name in CONTACT_STATE],
         "observation.environment_state": list(POSE),
@@ -81,7 +91,9 @@ def _features(dataset: Dataset) -> dict[str, dict[str, Any]]:
     found: dict[str, dict[str, Any]] = {_image_name(dataset, pad): image for pad in dataset.pads}
     for name, axes in vectors.items():
         found[name] = {"dtype": "float32", "shape": [len(axes)], "names": axes}
-    for name, dtype in _SCALARS.items():
+    flags = [f.name for f in FLAG_FIELDS if f in dataset.layout.fields]
+    named = {prefix + flag: "bool" for prefix in prefixes for flag in flags}
+    for name, dtype in (_SCALARS | named).items():
         found[name] = {"dtype": dtype, "shape": [1], "names": None}
     return found
 
@@ -149,13 +161,19 @@ class _Export:
     writer: pq.ParquetWriter | None = None
     file: int = -1
     file_bytes: int = 0
+    off_s: float = 0.0  # between timestamps and the frames' own times, at most
 
     @property
-    def fps(self) -> int:
-        """Frames a second as a whole number, which the format asks for."""
+    def fps(self) -> float:
+        """Frames a second, of which the format demands timestamp = frame_index / fps.
+
+        LeRobot's own recordings have whole numbers, but it only divides by this one; where the
+        frames are not so many a second it is the number that they are.
+        """
         time_s = self.dataset.time_s
         span_s = float(time_s[-1] - time_s[0])
-        return max(1, round((len(time_s) - 1) / span_s)) if span_s > 0 else 1
+        rate = (len(time_s) - 1) / span_s if span_s > 0 else 1.0
+        return round(rate) if abs(rate - round(rate)) < 1e-6 * rate else rate
 
     def write_episode(self, sample: GraspSample) -> None:
         """Write one grasp."""
@@ -163,8 +181,11 @@ class _Export:
         first = episode * n_frames
         text = f"Grasp the {sample.config.object.replace('_', ' ')} and lift it."
         task = self.tasks.setdefault(text, len(self.tasks))
+        stamps = np.arange(n_frames) / self.fps
+        times_s = self.dataset.times_s(sample.config.index)
+        self.off_s = max(self.off_s, float(np.abs(times_s - times_s[0] - stamps).max()))
         values = self._values(sample) | {
-            "timestamp": np.arange(n_frames) / self.fps,
+            "timestamp": stamps,
             "frame_index": np.arange(n_frames),
             "episode_index": np.full(n_frames, episode),
             "index": np.arange(first, first + n_frames),
@@ -178,7 +199,7 @@ class _Export:
             stats |= {f"stats/{key}/{name}": value for name, value in found.items()}
         for pad, frames in sample.pads.items():
             if frames.depth_mm is not None:
-                # One map a grasp, at its moment of grasp: no feature of the frames.
+                # Grey levels have no room for it: beside the frames, as an array an episode.
                 place = self.root / "depth_mm"
                 place.mkdir(exist_ok=True)
                 np.save(place / f"episode_{episode:06d}_{pad}.npy", frames.depth_mm)
@@ -206,16 +227,26 @@ class _Export:
         contact = [np.column_stack(list(frame_columns(pad).values())) for _, pad in pads]
         last = np.arange(n_frames) == n_frames - 1
         asked = [getattr(sample.config, name) for name in ACTION]
-        return {_image_name(self.dataset, name): pad.rgb for name, pad in pads} | {
-            "observation.state": np.concatenate(contact, axis=1),
-            "observation.environment_state": np.asarray(sample.object_pose),
-            "action": np.tile(asked, (n_frames, 1)),
-            "label": np.full(n_frames, sample.label),
-            "time_s": self.dataset.times_s(sample.config.index),
-            **{name: np.any([getattr(pad, name) for _, pad in pads], axis=0) for name in VALIDITY},
-            "next.done": last,
-            "next.success": last & (sample.label == 1),
+        prefixes = _prefixes(self.dataset)
+        flags = {
+            prefixes[name] + flag: held
+            for name, pad in pads
+            for flag, held in frame_flags(pad).items()
         }
+        images = {_image_name(self.dataset, name): pad.rgb for name, pad in pads}
+        return (
+            images
+            | flags
+            | {
+                "observation.state": np.concatenate(contact, axis=1),
+                "observation.environment_state": np.asarray(sample.object_pose),
+                "action": np.tile(asked, (n_frames, 1)),
+                "label": np.full(n_frames, sample.label),
+                "time_s": self.dataset.times_s(sample.config.index),
+                "next.done": last,
+                "next.success": last & (sample.label == 1),
+            }
+        )
 
     def _write_frames(self, values: Mapping[str, NDArray[Any]]) -> None:
         """Append an episode as one row group, to a new file where the last one is full."""

@@ -2,11 +2,14 @@
 
 Only what a real experiment would leave behind is written: images, which of them are of the moment
 of grasp and the last before the lift, what the gripper was asked to do, and how the grasp ended.
-``about.json`` states that the grasps are simulated.
+``about.json`` states that the grasps are simulated. The first pad's images stand where a reader of
+one pad looks for them, ``images/``; those of a second pad in ``images_<pad>/``, with a
+``background_<pad>.png`` of its own.
 """
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 
@@ -32,16 +35,29 @@ def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path, *, images: bool 
                 FRAME_UNKNOWN, pd.NA
             )
     write_text(folder / "grasps.csv", table.to_csv(index=False))
-    about = {"simulated": True, "note": NOTE, "taken_with": dataset.taken_with()}
+    about: dict[str, Any] = {"simulated": True, "note": NOTE, "taken_with": dataset.taken_with()}
+    if images and len(dataset.pads) > 1:
+        about["images"] = {pad: f"images{pad_suffix(dataset, pad)}" for pad in dataset.pads}
     write_text(folder / ABOUT, json.dumps(about, indent=1))
-    if images:
-        (folder / BACKGROUND).write_bytes(encode_png(dataset.reference()))
+    for pad in dataset.pads if images else ():
+        suffix, background = pad_suffix(dataset, pad), Path(BACKGROUND)
+        reference = encode_png(dataset.reference(pad))
+        (folder / f"{background.stem}{suffix}{background.suffix}").write_bytes(reference)
         for index in map(int, grasps["index"]):
-            place = folder / "images" / grasp_id(index)
+            place = folder / f"images{suffix}" / grasp_id(index)
             place.mkdir(parents=True)
-            for k, frame in enumerate(dataset.rgb(index)):
+            for k, frame in enumerate(dataset.rgb(index, pad)):
                 (place / f"{k}.png").write_bytes(encode_png(frame))
-    return f"{len(grasps)} simulated grasps in the format of real ones"
+    said = f"{len(grasps)} simulated grasps in the format of real ones"
+    if images and len(dataset.pads) > 1:
+        places = (f"{pad} pad in images{pad_suffix(dataset, pad)}/" for pad in dataset.pads)
+        said += f": {', '.join(places)}"
+    return said
+
+
+def pad_suffix(dataset: Dataset, pad: str) -> str:
+    """What the folders of a pad end in; nothing for the first, which readers of one pad take."""
+    return "" if pad == dataset.pads[0] else f"_{pad}"
 
 
 def grasp_id(index: int) -> str:

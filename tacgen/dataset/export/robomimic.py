@@ -90,7 +90,9 @@ def _write_demo(demo: h5py.Group, sample: GraspSample, action: FloatArray) -> No
         options = {"chunks": (1, *frames.rgb.shape[1:]), "compression": "gzip"}
         observed.create_dataset(f"{pad}_rgb", data=frames.rgb, **options)
         for field in FRAME_FIELDS:
-            observed[f"{pad}_{field.name}"] = field.value(frames)
+            if (values := field.value(frames)) is not None:
+                observed[f"{pad}_{field.name}"] = values
         if frames.depth_mm is not None:
-            # Of the moment of grasp: not one a frame, so it stands beside the observations.
-            demo[f"depth_mm/{pad}"] = frames.depth_mm
+            # Of the moment of grasp it is not one a frame, and stands beside the observations.
+            is_of_frames = frames.depth_mm.ndim == 3
+            demo[f"obs/{pad}_depth_mm" if is_of_frames else f"depth_mm/{pad}"] = frames.depth_mm

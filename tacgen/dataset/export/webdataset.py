@@ -37,7 +37,8 @@ def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
                     entry.size = len(content)
                     archive.addfile(entry, io.BytesIO(content))
         count += 1
-    return f"{len(grasps)} grasps in {count} tar files of WebDataset's format"
+    files = "1 tar file" if count == 1 else f"{count} tar files"
+    return f"{len(grasps)} grasps in {files} of WebDataset's format"
 
 
 def _files(sample: GraspSample, row: dict[str, Any]) -> Iterator[tuple[str, bytes]]:

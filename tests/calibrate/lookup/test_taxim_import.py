@@ -124,3 +124,14 @@ def test_what_is_wrong_is_said(tmp_path):
         import_polycalib(tmp_path / "polycalib.npz", tmp_path / "bg.npy", 0.1)
     with pytest.raises(TableError, match="must be a positive number"):
         import_polycalib(tmp_path / "polycalib.npz", tmp_path / "bg.npy", 0.0)
+
+
+def test_the_background_may_be_that_of_a_datapack(tmp_path):
+    np.savez(tmp_path / "polycalib.npz", **some_polycalib(20, (30, 40), seed=1))
+    f0 = np.full((30, 40, 3), [10, 20, 30], np.uint8)
+    np.savez(tmp_path / "dataPack.npz", f0=f0, imgs=f0[None])
+    table = import_polycalib(tmp_path / "polycalib.npz", tmp_path / "dataPack.npz", 0.1)
+    assert table.background[0, 0].tolist() == [30.0, 20.0, 10.0]
+    np.savez(tmp_path / "other.npz", imgs=f0[None])
+    with pytest.raises(TableError, match="other.npz: has no f0; give Taxim's dataPack"):
+        import_polycalib(tmp_path / "polycalib.npz", tmp_path / "other.npz", 0.1)

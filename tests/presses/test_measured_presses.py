@@ -1,0 +1,57 @@
+"""Presses of real sensors: none is refused, in whole or in part; altered ones are."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tacgen.core.errors import PressError
+from tacgen.presses.press_folder import read_presses
+from tacgen.presses.screening import usable_presses
+
+SETS = {
+    "taxim": "taxim_ball_presses/dataPack_small_37.npz",
+    "digit_a": "press_sets/digit_a",
+    "fots_gelsight": "press_sets/fots_gelsight",
+    "gelsight_mini": "press_sets/gelsight_mini",
+    "known_depth": "press_sets/known_depth/presses",
+}
+
+
+@pytest.fixture(scope="module", params=SETS)
+def presses(request, measured_data):
+    return read_presses(measured_data / SETS[request.param])
+
+
+@pytest.mark.slow
+def test_no_part_of_a_real_set_is_refused(presses):
+    """As ten held-out presses beside the background of all are."""
+    rng = np.random.default_rng(0)
+    for count in (len(presses), 10, 10, 10, 5):
+        chosen = np.sort(rng.choice(len(presses), count, replace=False))
+        used = usable_presses(presses.select(chosen), every=True)
+        assert len(used) == count
+
+
+ALTERED = {
+    "red and blue are swapped": lambda image: image[..., ::-1],
+    "it is turned by 180°": lambda image: image[::-1, ::-1],
+    "it is mirrored left to right": lambda image: image[:, ::-1],
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ALTERED)
+def test_another_view_is_refused(presses, name):
+    background = np.ascontiguousarray(ALTERED[name](presses.background))
+    with pytest.raises(PressError, match=f"does not match the presses: {name}"):
+        usable_presses(replace(presses, background=background))
+
+
+@pytest.mark.slow
+def test_another_crop_is_refused(presses):
+    """By 20 px; by 5 where the picture is 160 px wide, a quarter of the camera's."""
+    shift = 20 if presses.shape_px[1] > 200 else 6
+    background = np.ascontiguousarray(np.roll(presses.background, shift, axis=1))
+    with pytest.raises(PressError, match="it is shifted by"):
+        usable_presses(replace(presses, background=background))
