@@ -310,6 +310,8 @@ def place_jointly(
     )
     if start is None:
         radius = np.minimum(RULES.first_radius_share * labels[:, 2], 0.9 * presses.ball_radius_mm)
+        if presses.seen_px is not None:
+            radius = np.fmin(radius, presses.seen_px[:, 2] * presses.mm_per_px)
         geometry = np.column_stack([labels[:, :2], radius])
         press_model, share = plain_press_model(float(radius.mean()), presses.dome_radius_mm), 0.0
     else:

@@ -61,7 +61,7 @@ class LookupRules:
     pixels_for_ratio: int = 300  # that a ball's size is judged by
 
     first_radius_share: float = 0.85  # of the labelled contact radius, where the fit starts:
-    # people circle the dark rim around the contact
+    # people circle the dark rim around the contact; or at the circle that is seen if it is smaller
     noise_grey: float = 6.0  # standard deviation of a pixel's residual
     correlated_pixels: float = 20.0  # that count as one: JPEG blocks and texture go together
     drift_noise_grey: float = 0.5  # to which bare gel tells the drift of a whole picture
