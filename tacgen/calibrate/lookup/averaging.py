@@ -14,6 +14,7 @@ from tacgen.calibrate.lookup.random_light import N_UNITS, RandomLight
 from tacgen.calibrate.lookup.settings import RULES, FitSettings
 from tacgen.calibrate.lookup.smooth_model import N_CONTACT, n_position_features
 from tacgen.core.arrays import FloatArray, IntArray
+from tacgen.presses.experiments import is_clear
 
 NETWORK_RIDGES = (1e-5, 1e-4, 1e-3)
 """Penalty on what a unit adds, relative to the mean square of what it says."""
@@ -37,14 +38,15 @@ def averaged(
     """``fit`` with a network averaged into the light of its smooth model.
 
     The network's ridge and share are those with the least error on whole presses that neither it
-    nor the smooth model was fitted to, weighted as the fit is; a share of 0 leaves all as it was.
+    nor the smooth model was fitted to, weighted as the fit is. Unless it is clearly less than the
+    smooth model's, the fit stays as it is.
     """
     folds = fold_of(prepared.presses.experiment)
     sums = _sums_of_folds(prepared, fit, background, settings, folds)
     total = reduce(add, sums)
     n_smooth = len(total.gram) - N_UNITS
-    square, lines, curves = 0.0, np.zeros(len(NETWORK_RIDGES)), np.zeros(len(NETWORK_RIDGES))
-    for held_out in sums:
+    square, lines, curves = 0.0, *np.zeros((2, len(sums), len(NETWORK_RIDGES)))
+    for fold, held_out in enumerate(sums):
         seen = total - held_out
         smooth = np.zeros((len(total.gram), 3))
         smooth[:n_smooth] = _smooth_weights(seen, n_smooth, settings)
@@ -53,14 +55,15 @@ def averaged(
         square += float(held_out.square[3:].sum() - (smooth * (moment + left)).sum())
         for k, ridge in enumerate(NETWORK_RIDGES):
             change = _network(seen, smooth[:n_smooth], settings, ridge) - smooth
-            lines[k] += (change * left).sum()
-            curves[k] += (change * (held_out.gram @ change)).sum()
-    shares = np.clip(lines / np.maximum(curves, 1e-12), 0.0, 1.0)
+            lines[fold, k] = (change * left).sum()
+            curves[fold, k] = (change * (held_out.gram @ change)).sum()
+    shares = np.clip(lines.sum(axis=0) / np.maximum(curves.sum(axis=0), 1e-12), 0.0, 1.0)
     gains = 2 * shares * lines - shares**2 * curves
-    best = int(np.argmax(gains))
-    share, error = float(shares[best]), float(np.sqrt((square - gains[best]) / (3 * total.weight)))
-    if share == 0:
-        return Average(fit, share, error)
+    best = int(np.argmax(gains.sum(axis=0)))
+    share, gain = float(shares[best]), gains[:, best]
+    error = float(np.sqrt((square - gain.sum()) / (3 * total.weight)))
+    if not is_clear(gain):
+        return Average(fit, 0.0, error)
     network = _network(
         total, fit.model.weights.reshape(n_smooth, 3), settings, NETWORK_RIDGES[best]
     )

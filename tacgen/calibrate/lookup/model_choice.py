@@ -21,7 +21,7 @@ from tacgen.calibrate.lookup.smooth_model import (
     n_position_features,
 )
 from tacgen.core.arrays import FloatArray, IntArray
-from tacgen.presses.experiments import per_experiment, ranked
+from tacgen.presses.experiments import is_clear, per_experiment, ranked
 
 _HIGHEST = FitSettings(max(RULES.degrees), max(RULES.position_degrees))
 
@@ -78,8 +78,7 @@ def choose(prepared: PreparedPresses, fit: press_fit.JointFit) -> Choice:
 
     def clearly_better(rival: FitSettings, background: int) -> bool:
         less = by_picture(settings)[:, chosen] - by_picture(rival)[:, background]
-        gain = per_experiment(less, experiment)
-        return bool(gain.sum() > np.sqrt(len(gain)) * gain.std(ddof=1))
+        return is_clear(per_experiment(less, experiment))
 
     plain, *bends = RULES.bends
     settings, chosen = best(plain, 0), 0
@@ -95,7 +94,7 @@ def choose(prepared: PreparedPresses, fit: press_fit.JointFit) -> Choice:
         for settings, by_background in squares.items()
         for recipe, square in zip(RULES.backgrounds, by_background, strict=True)
     }
-    share = _drift_share(_of_folds(columns_for(settings), folds), settings, chosen)
+    share = _drift_share(_of_folds(columns_for(settings), folds), settings, chosen, fit.drift_share)
     return Choice(settings, RULES.backgrounds[chosen], share, errors)
 
 
@@ -120,25 +119,28 @@ def _of_folds(sums: list[press_fit.PressSums], folds: IntArray) -> list[press_fi
 
 
 def _drift_share(
-    in_folds: list[press_fit.PressSums], settings: FitSettings, background: int
+    in_folds: list[press_fit.PressSums], settings: FitSettings, background: int, shown: float
 ) -> float:
     """The share of the presses' drift that a fit had better leave out, 0 to 1.
 
     Drift that comes and goes as it likes makes a table worse. What a camera's white balance does
     where a contact is comes again with the next contact there, in presses left out too. The weights
-    are linear in the share, so that the least error is known.
+    are linear in the share, so that the least error is known. Unless it is clearly less, the share
+    is the one that is ``shown`` in the contacts.
     """
-    line = curve = 0.0
+    lines, curves = np.zeros(len(in_folds)), np.zeros(len(in_folds))
     total = reduce(add, in_folds)
     own, drift = slice(3 * background, 3 * background + 3), slice(-3, None)
-    for held_out in in_folds:
+    for k, held_out in enumerate(in_folds):
         weights = press_fit.model_of_sums(total - held_out, settings).weights
         weights = weights.reshape(len(total.gram), -1)
         of_drift = weights[:, drift]
         left = held_out.moment[:, own] - held_out.gram @ weights[:, own]
-        line += float((of_drift * left).sum())
-        curve += float((of_drift * (held_out.gram @ of_drift)).sum())
-    return float(np.clip(-line / max(curve, 1e-12), 0.0, 1.0))
+        lines[k] = (of_drift * left).sum()
+        curves[k] = (of_drift * (held_out.gram @ of_drift)).sum()
+    share = float(np.clip(-lines.sum() / max(curves.sum(), 1e-12), 0.0, 1.0))
+    gain = 2 * (shown - share) * lines + (shown**2 - share**2) * curves
+    return share if is_clear(gain) else shown
 
 
 def _columns_of(settings: FitSettings, highest: FitSettings = _HIGHEST) -> IntArray:

@@ -21,6 +21,7 @@ from tacgen.calibrate.lookup.smooth_model import (
     weighed,
 )
 from tacgen.core.arrays import FloatArray, IntArray
+from tacgen.presses.experiments import is_clear
 from tacgen.presses.geometry import MAX_RADIUS_SHARE, Membrane, PressedGel, rest_height, rest_slope
 from tacgen.presses.press_images import PressImages, place_mm
 
@@ -84,17 +85,19 @@ def learn_labels(labels: FloatArray, geometry: FloatArray) -> LabelModel:
 
     The shift is what is expected of a true centre given its label: where presses lie closer
     together than labels scatter, it leads back to their middle. What grows with position is held
-    back by the ridge, of some, under which presses that are left out are expected best.
+    back by a ridge, the first of some unless under a weaker one presses that are left out are
+    expected clearly better.
     """
     basis = np.column_stack([np.ones(len(labels)), labels[:, :2] / _TEN_MM])
     off = (geometry - labels)[:, :2]
-    best = np.inf
+    least: FloatArray | None = None
     for ridge in TILT_RIDGES:
         solve = np.linalg.solve(basis.T @ basis + np.diag([0.0, ridge, ridge]), basis.T)
         own = np.einsum("nk,kn->n", basis, solve)  # of each press in what is expected of it
         left_out = (off - basis @ (solve @ off)) / np.maximum(1.0 - own, 1e-3)[:, None]
-        if (error := float((left_out**2).sum())) < best:
-            best, shift = error, solve @ off
+        error = (left_out**2).sum(axis=1)
+        if least is None or is_clear(least - error):
+            least, shift = error, solve @ off
     reference = float(labels[:, 2].mean())
     spread = labels[:, 2] - reference
     slope = float(spread @ geometry[:, 2] / (spread @ spread + 1e-6 * reference**2))

@@ -95,5 +95,5 @@ def test_drift_that_comes_again_is_kept_other_drift_is_left_out(comes_again):
         sums.append(
             PressSums(columns.T @ columns, columns.T @ target, (target**2).sum(axis=0), 60.0)
         )
-    share = _drift_share(sums, settings, 0)
+    share = _drift_share(sums, settings, 0, float(comes_again))
     assert share < 0.01 if comes_again else share > 0.9
