@@ -90,6 +90,11 @@ def per_experiment(values: FloatArray, experiment: IntArray) -> FloatArray:
     return np.asarray(sums / count.reshape(-1, *[1] * (values.ndim - 1)))
 
 
+def is_clear(gain: FloatArray) -> bool:
+    """Whether gains (n,), of presses or groups of them, are above 0 by one standard error."""
+    return bool(gain.sum() > np.sqrt(len(gain)) * gain.std(ddof=1))
+
+
 def _near(places: FloatArray, within: float) -> IntArray:
     """Pairs (n, 2) of rows of ``places`` that are nowhere farther apart; NaN is near nothing."""
     known = np.nonzero(np.isfinite(places).all(axis=1))[0]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tacgen.calibrate.lookup.prepared import Pixels, PreparedPresses, Sample
+from tacgen.calibrate.lookup.random_light import RandomLight, units
 from tacgen.calibrate.lookup.settings import RULES, FitSettings
 from tacgen.calibrate.lookup.smooth_model import (
     SmoothModel,
@@ -20,6 +21,7 @@ from tacgen.calibrate.lookup.smooth_model import (
     weighed,
 )
 from tacgen.core.arrays import FloatArray, IntArray
+from tacgen.presses.experiments import is_clear
 from tacgen.presses.geometry import MAX_RADIUS_SHARE, Membrane, PressedGel, rest_height, rest_slope
 from tacgen.presses.press_images import PressImages, place_mm
 
@@ -42,6 +44,12 @@ LARGEST_STEP_RADII = 0.06
 MEMBRANE_STEP = 2.0
 """Times a Gauss–Newton step of the gel's rim: the light, which is fitted anew after each, follows
 about half of the way back."""
+
+LARGEST_SHIFT_RADII = 0.5
+"""Largest shift of a label, in label radii: presses close together tell none elsewhere."""
+
+TILT_RIDGES = (0.5, 0.05, 0.005, 0.0005)
+"""On what a label's shift grows by in 10 mm, in presses 10 mm from the centre."""
 
 _TEN_MM = 10.0  # an image's size: over this a label's shift grows by what it is at the centre
 
@@ -67,18 +75,29 @@ class LabelModel:
         radius = self.contact_radius_mm + self.radius_slope * (
             label[..., 2] - self.reference_radius_mm
         )
-        return np.concatenate([label[..., :2] + basis @ self.shift_mm, radius[..., None]], axis=-1)
+        most_mm = LARGEST_SHIFT_RADII * self.reference_radius_mm
+        shift = np.clip(basis @ self.shift_mm, -most_mm, most_mm)
+        return np.concatenate([label[..., :2] + shift, radius[..., None]], axis=-1)
 
 
 def learn_labels(labels: FloatArray, geometry: FloatArray) -> LabelModel:
     """The label model by least squares from labels (n, 3) and estimated geometry (n, 3), mm.
 
-    The terms that grow with position are held back by a ridge worth half a press, so that a few
-    presses close together do not tilt it.
+    The shift is what is expected of a true centre given its label: where presses lie closer
+    together than labels scatter, it leads back to their middle. What grows with position is held
+    back by a ridge, the first of some unless under a weaker one presses that are left out are
+    expected clearly better.
     """
     basis = np.column_stack([np.ones(len(labels)), labels[:, :2] / _TEN_MM])
-    ridge = np.diag([0.0, 0.5, 0.5])
-    shift = np.linalg.solve(basis.T @ basis + ridge, basis.T @ (geometry - labels)[:, :2])
+    off = (geometry - labels)[:, :2]
+    least: FloatArray | None = None
+    for ridge in TILT_RIDGES:
+        solve = np.linalg.solve(basis.T @ basis + np.diag([0.0, ridge, ridge]), basis.T)
+        own = np.einsum("nk,kn->n", basis, solve)  # of each press in what is expected of it
+        left_out = (off - basis @ (solve @ off)) / np.maximum(1.0 - own, 1e-3)[:, None]
+        error = (left_out**2).sum(axis=1)
+        if least is None or is_clear(least - error):
+            least, shift = error, solve @ off
     reference = float(labels[:, 2].mean())
     spread = labels[:, 2] - reference
     slope = float(spread @ geometry[:, 2] / (spread @ spread + 1e-6 * reference**2))
@@ -148,7 +167,9 @@ def plain_press_model(contact_radius_mm: float, dome_radius_mm: float = 0.0) -> 
 
 @dataclass(frozen=True, slots=True)
 class JointFit:
-    """A smooth model, the press model, and the geometry (N, 3), mm, of each press.
+    """The light, the press model, and the geometry (N, 3), mm, of each press.
+
+    The light is a smooth model and, if it was averaged with one, a network, which adds to it.
 
     ``drift_share`` is the share of the presses' drift (lamps and camera drift in a session) that
     was subtracted from the contacts, so that it does not go into the table.
@@ -158,30 +179,53 @@ class JointFit:
     press_model: PressModel
     geometry: FloatArray
     drift_share: float = 0.0
+    network: RandomLight | None = None
+
+    def predicted(self, sample: Sample, geometry: FloatArray) -> FloatArray:
+        """Change of grey level (n, 3) at the pixels of a press at ``geometry``."""
+        change = predicted(sample, geometry, self.press_model, self.model)
+        if self.network is None:
+            return change
+        said = _added_units(sample, geometry, self.press_model, self.network.bend)
+        return change + said @ self.network.weights
+
+
+def _added_units(
+    sample: Sample, geometry: FloatArray, press_model: PressModel, bend: float
+) -> FloatArray:
+    """What a network's units say of a press, less what they say of the gel at rest."""
+    gx, gy, _ = press_model.surface(geometry, sample.ball_radius_mm, sample.pixels)
+    said = units(gx, gy, sample.position, bend)
+    if press_model.dome_radius_mm > 0:
+        x, y = sample.pixels.x_mm, sample.pixels.y_mm
+        said -= units(*rest_slope(x, y, press_model.dome_radius_mm), sample.position, bend)
+    return said
 
 
 def predicted(
     sample: Sample, geometry: FloatArray, press_model: PressModel, model: SmoothModel
 ) -> FloatArray:
     """Change of grey level (n, 3) that ``model`` gives at a press's pixels."""
-    terms = _added_terms(sample, geometry, press_model, model.degree)
+    terms = _added_terms(sample, geometry, press_model, model.degree, model.bend)
     return model.of_terms(terms, sample.position)
 
 
 def _added_terms(
-    sample: Sample, geometry: FloatArray, press_model: PressModel, degree: int
+    sample: Sample, geometry: FloatArray, press_model: PressModel, degree: int, bend: float
 ) -> FloatArray:
     surface = press_model.surface(geometry, sample.ball_radius_mm, sample.pixels)
-    terms = light_terms(*surface, degree)
+    terms = light_terms(*surface, degree, bend)
     if press_model.dome_radius_mm > 0:
-        terms = terms - _rest_terms(sample, press_model, degree)
+        terms = terms - _rest_terms(sample, press_model, degree, bend)
     return terms
 
 
-def _rest_terms(sample: Sample, press_model: PressModel, degree: int) -> FloatArray:
+def _rest_terms(sample: Sample, press_model: PressModel, degree: int, bend: float) -> FloatArray:
     """The terms of the gel at rest."""
     x, y = sample.pixels.x_mm, sample.pixels.y_mm
-    return light_terms(*rest_slope(x, y, press_model.dome_radius_mm), np.zeros_like(x), degree)
+    return light_terms(
+        *rest_slope(x, y, press_model.dome_radius_mm), np.zeros_like(x), degree, bend
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,12 +261,20 @@ def press_sums(
     press_model: PressModel,
     settings: FitSettings,
     target: FloatArray,
+    *,
+    with_units: bool = False,
 ) -> PressSums:
-    """Normal equations of a press at a place, for targets (n, 3 · n_backgrounds)."""
+    """Normal equations of a press at a place, for targets (n, 3 · n_targets).
+
+    ``with_units`` adds a network's units to the columns of the smooth model.
+    """
     root = np.sqrt(sample.weight)[:, None]
-    terms = _added_terms(sample, geometry, press_model, settings.degree)
+    terms = _added_terms(sample, geometry, press_model, settings.degree, settings.bend)
     position = first_features(sample.position, n_position_features(settings.position_degree))
     weighted = design(terms * root, position)
+    if with_units:
+        said = _added_units(sample, geometry, press_model, settings.bend)
+        weighted = np.hstack([weighted, said * root])
     return PressSums(
         gram=weighted.T @ weighted,
         moment=weighted.T @ (target * root),
@@ -257,9 +309,12 @@ def place_jointly(
         min(settings.degree, ROUGH_DEGREE),
         min(settings.position_degree, ROUGH_POSITION_DEGREE),
         max(settings.ridge, ROUGH_RIDGE),
+        settings.bend,
     )
     if start is None:
         radius = np.minimum(RULES.first_radius_share * labels[:, 2], 0.9 * presses.ball_radius_mm)
+        if presses.seen_px is not None:
+            radius = np.fmin(radius, presses.seen_px[:, 2] * presses.mm_per_px)
         geometry = np.column_stack([labels[:, :2], radius])
         press_model, share = plain_press_model(float(radius.mean()), presses.dome_radius_mm), 0.0
     else:
@@ -405,11 +460,13 @@ def _place_sample(
     at_places = model.at_places(sample.position)
     target = sample.change
     if press_model.dome_radius_mm > 0:
-        target = target + weighed(_rest_terms(sample, press_model, model.degree), at_places)
+        target = target + weighed(
+            _rest_terms(sample, press_model, model.degree, model.bend), at_places
+        )
 
     def grey(place: FloatArray) -> FloatArray:
         surface = press_model.surface(place, sample.ball_radius_mm, sample.pixels)
-        return weighed(light_terms(*surface, model.degree), at_places)
+        return weighed(light_terms(*surface, model.degree, model.bend), at_places)
 
     radii_mm = float(sample.label[2]), sample.ball_radius_mm
     return place_press(

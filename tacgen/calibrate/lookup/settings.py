@@ -10,10 +10,12 @@ class FitSettings:
     degree: int = 5  # of the polynomial in the surface normal
     position_degree: int = 4  # of the polynomial in image position
     ridge: float = 1e-4  # penalty on rough terms, relative to the mean of the squared features
+    bend: float = 0.0  # sine of the slope at which light saturates, 0: it does not
 
     def __str__(self) -> str:
+        bent = f" bent at {self.bend:g}" if self.bend else ""
         return (
-            f"degree {self.degree} in the normal and {self.position_degree} in position, "
+            f"degree {self.degree} in the normal{bent} and {self.position_degree} in position, "
             f"ridge {self.ridge:g}"
         )
 
@@ -59,7 +61,7 @@ class LookupRules:
     pixels_for_ratio: int = 300  # that a ball's size is judged by
 
     first_radius_share: float = 0.85  # of the labelled contact radius, where the fit starts:
-    # people circle the dark rim around the contact
+    # people circle the dark rim around the contact; or at the circle that is seen if it is smaller
     noise_grey: float = 6.0  # standard deviation of a pixel's residual
     correlated_pixels: float = 20.0  # that count as one: JPEG blocks and texture go together
     drift_noise_grey: float = 0.5  # to which bare gel tells the drift of a whole picture
@@ -71,6 +73,7 @@ class LookupRules:
     # Candidates of the choice
     degrees: tuple[int, ...] = (3, 5)
     position_degrees: tuple[int, ...] = (1, 2, 4)
+    bends: tuple[float, ...] = (0.0, 0.25)
     ridges: tuple[float, ...] = (1e-7, 1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 1e-3, 1e-2)
     backgrounds: tuple[BackgroundRecipe, ...] = (  # from what needs no evidence to what needs most
         BackgroundRecipe(),

@@ -8,6 +8,10 @@ only the terms of first order would be left; the higher ones hold what lamps clo
 several bounces add. Three more terms, d/(d + 1 mm) at depth d times 1, nx and ny, say what gel that
 is pressed in answers otherwise than gel of the same slope beside the contact: it is thinner, lies
 lower in the lamps' light, and its neighbourhood scatters other light.
+
+Gel lit at a grazing angle, or seen through a diffuser, is as bright at a slope of 20° as it gets: a
+polynomial that is to follow that needs (nx, ny) bent, times √((1 + b²)/(nx² + ny² + b²)), which
+leaves the direction and spreads out slopes up to the sine b.
 """
 
 import math
@@ -112,14 +116,25 @@ def n_light_terms(degree: int) -> int:
     return len(exponents(degree)) + N_CONTACT
 
 
-def light_terms(gx: FloatArray, gy: FloatArray, depth_mm: FloatArray, degree: int) -> FloatArray:
+def light_terms(
+    gx: FloatArray, gy: FloatArray, depth_mm: FloatArray, degree: int, bend: float = 0.0
+) -> FloatArray:
     """The terms (n, n_light_terms) of gel with slopes (n,) at depths (n,) below its rest."""
     length = np.sqrt(1.0 + gx * gx + gy * gy)
     nx, ny = gx / length, gy / length
     depth = np.maximum(depth_mm, 0.0)
     share = depth / (depth + CONTACT_DEPTH_MM)
     contact = np.stack([share, share * nx, share * ny])
-    return np.concatenate([monomials(nx, ny, degree).T, contact]).T
+    return np.concatenate([monomials(*bent_normal(gx, gy, bend), degree).T, contact]).T
+
+
+def bent_normal(gx: FloatArray, gy: FloatArray, bend: float) -> tuple[FloatArray, FloatArray]:
+    """The tangential parts of the unit normal, bent."""
+    square = gx * gx + gy * gy
+    more = 1.0 / np.sqrt(1.0 + square)
+    if bend:
+        more *= np.sqrt((1.0 + bend**2) / (square / (1.0 + square) + bend**2))
+    return gx * more, gy * more
 
 
 def weighed(terms: FloatArray, at_places: FloatArray) -> FloatArray:
@@ -133,6 +148,7 @@ class SmoothModel:
 
     weights: FloatArray  # (n_light_terms, n_features, 3), RGB grey levels of each term and feature
     degree: int
+    bend: float = 0.0
 
     def at_places(self, position: FloatArray) -> FloatArray:
         """Grey levels (n, n_terms, 3) for each term at places (n, n_features)."""
@@ -155,7 +171,7 @@ class SmoothModel:
         """
         tangent = np.tan(slope_rad)[:, None]
         gx, gy = tangent * np.cos(direction_rad), tangent * np.sin(direction_rad)
-        terms = light_terms(gx.ravel(), gy.ravel(), np.zeros(gx.size), self.degree)
+        terms = light_terms(gx.ravel(), gy.ravel(), np.zeros(gx.size), self.degree, self.bend)
         at_places = self.at_places(position).swapaxes(0, 1)
         values = terms @ at_places.reshape(len(at_places), -1)
         return np.asarray(values.reshape(*gx.shape, len(position), -1))
@@ -175,4 +191,4 @@ def solve_ridge(gram: FloatArray, moment: FloatArray, settings: FitSettings) -> 
     penalty = np.diag(settings.ridge * ridge_costs(degree, position_degree))
     weights = linalg.solve(gram + penalty, moment, assume_a="pos", check_finite=False)
     shape = (n_light_terms(degree), n_position_features(position_degree), -1)
-    return SmoothModel(weights.reshape(shape), degree)
+    return SmoothModel(weights.reshape(shape), degree, settings.bend)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from tacgen.calibrate.lookup.averaging import averaged
 from tacgen.calibrate.lookup.model_choice import Choice, choose, fold_of
 from tacgen.calibrate.lookup.prepared import PreparedPresses
 from tacgen.calibrate.lookup.press_fit import JointFit, fit_light, place_jointly
@@ -17,7 +18,6 @@ from tacgen.calibrate.lookup.score import TableScore, score_table
 from tacgen.calibrate.lookup.settings import RULES, SMOOTH_WITH_DRIFT, FitSettings
 from tacgen.calibrate.lookup.smooth_model import (
     CONTACT_DEPTH_MM,
-    SmoothModel,
     light_terms,
     position_degree_of,
     position_features,
@@ -25,6 +25,7 @@ from tacgen.calibrate.lookup.smooth_model import (
 from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.version import __version__
 from tacgen.core.workers import map_in_processes
+from tacgen.optics.image_models.base import between_nodes
 from tacgen.optics.table import ContactLight, LookupTable, features
 from tacgen.presses.geometry import PressedGel, rest_slope
 from tacgen.presses.press_images import PressImages, label_mm, place_mm
@@ -126,11 +127,18 @@ def _fit(prepared: PreparedPresses) -> tuple[LookupTable, JointFit, Choice]:
     background = prepared.backgrounds[choice.background]
     if (choice.settings, choice.background) != (first, SMOOTH_WITH_DRIFT):
         placed = place_jointly(prepared, background, choice.settings, start=placed, iterations=3)
+    placed = replace(placed, drift_share=choice.drift_share)
     fit = fit_light(prepared, background, choice.settings, placed)
-    return _tabulate(prepared, fit, choice), fit, choice
+    average = averaged(prepared, fit, background, choice.settings)
+    errors = choice.errors | {f"averaged with a network, share {average.share:.2f}": average.error}
+    choice = replace(choice, errors=errors)
+    table = _tabulate(prepared, average.fit, choice, average.share)
+    return table, average.fit, choice
 
 
-def _tabulate(prepared: PreparedPresses, fit: JointFit, choice: Choice) -> LookupTable:
+def _tabulate(
+    prepared: PreparedPresses, fit: JointFit, choice: Choice, network_share: float
+) -> LookupTable:
     """The fitted model as a table that renders without any of the fit's code."""
     presses = prepared.presses
     steepest = steepest_slope_rad(presses, fit)
@@ -149,14 +157,15 @@ def _tabulate(prepared: PreparedPresses, fit: JointFit, choice: Choice) -> Looku
             **asdict(choice.settings),
             "ring_weights": list(RULES.ring_weights),
             **asdict(choice.background),
+            "network_share": network_share,
         },
         "drift_share": fit.drift_share,
     }
-    quadratic, response, contact = _looked_up(prepared, fit.model, steepest)
+    quadratic, response, contact = _looked_up(prepared, fit, steepest)
     background = prepared.backgrounds[choice.background]
     return LookupTable(
         coefficients=quadratic,
-        background=without_rest(background, fit.model, presses, prepared.light),
+        background=without_rest(background, fit, presses, prepared.light),
         response=response,
         contact=ContactLight(contact, CONTACT_DEPTH_MM, presses.dome_radius_mm),
         mm_per_px=presses.mm_per_px,
@@ -168,9 +177,10 @@ def _tabulate(prepared: PreparedPresses, fit: JointFit, choice: Choice) -> Looku
 
 
 def _looked_up(
-    prepared: PreparedPresses, model: SmoothModel, steepest_rad: float
+    prepared: PreparedPresses, fit: JointFit, steepest_rad: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """The quadratic in position, the response nearest which it is, and what a contact adds."""
+    model = fit.model
     height, width = prepared.presses.shape_px
     per_side = (RESPONSE_PLACES - 1) / max(height, width)
     n_rows, n_columns = (max(2, 1 + round(side * per_side)) for side in (height, width))
@@ -183,10 +193,20 @@ def _looked_up(
         turn = np.arange(n_direction) / n_direction
         return np.linspace(0.0, steepest_rad, n_slope), -np.pi + 2 * np.pi * turn
 
-    quadratic = np.linalg.pinv(features(u, v)) @ position
-    coefficients = model.responses(*nodes(N_SLOPE, N_DIRECTION), quadratic).swapaxes(-1, -2)
+    slope_rad, direction_rad = nodes(RESPONSE_SLOPES, RESPONSE_DIRECTIONS)
     # Half precision: a twentieth of a grey level in a change of a hundred, in half the file.
-    response = model.responses(*nodes(RESPONSE_SLOPES, RESPONSE_DIRECTIONS), position)
+    response = model.responses(slope_rad, direction_rad, position)
+    if fit.network is not None:
+        places = np.tile(position, (len(direction_rad), 1))
+        for change, slope in zip(response, slope_rad, strict=True):
+            along = np.stack([np.cos(direction_rad), np.sin(direction_rad)])
+            gx, gy = np.repeat(np.tan(slope) * along, len(position), axis=1)
+            change += fit.network.grey(gx, gy, places).reshape(change.shape)
+    quadratic = np.einsum("fp,sdpc->sdfc", np.linalg.pinv(features(u, v)), response)[..., None, :]
+    slope_rad, direction_rad = nodes(N_SLOPE, N_DIRECTION)
+    tangent = np.tan(slope_rad)[:, None]
+    gx, gy = tangent * np.cos(direction_rad), tangent * np.sin(direction_rad)
+    coefficients = between_nodes(quadratic, steepest_rad, gx, gy)[..., 0, :].swapaxes(-1, -2)
     shape = (RESPONSE_SLOPES, RESPONSE_DIRECTIONS, n_rows, n_columns, 3)
     return (
         coefficients.astype(np.float32),
@@ -229,16 +249,21 @@ def steepest_slope_rad(presses: PressImages, fit: JointFit) -> float:
 
 
 def without_rest(
-    reference: FloatArray, model: SmoothModel, presses: PressImages, light: FloatArray
+    reference: FloatArray, fit: JointFit, presses: PressImages, light: FloatArray
 ) -> FloatArray:
     """The reference image less what the table adds for the gel at rest (0 for a flat gel)."""
     if presses.dome_radius_mm <= 0:
         return reference
     height, width = reference.shape[:2]
-    rows, columns = (part.ravel() for part in np.mgrid[:height, :width])
-    x_mm, y_mm = place_mm(columns, rows, (height, width), presses.mm_per_px)
-    u, v = (columns + 0.5) / width - 0.5, (rows + 0.5) / height - 0.5
-    slope = rest_slope(x_mm, y_mm, presses.dome_radius_mm)
-    position = position_features(u, v, light, position_degree_of(model.weights.shape[1]))
-    at_rest = model.of_terms(light_terms(*slope, np.zeros_like(u), model.degree), position)
-    return np.asarray(reference - at_rest.reshape(height, width, 3), dtype=np.float32)
+    model, background = fit.model, np.array(reference, dtype=np.float32)
+    columns, degree = np.arange(width, dtype=float), position_degree_of(model.weights.shape[1])
+    for row in range(height):
+        x_mm, y_mm = place_mm(columns, np.full(width, row), (height, width), presses.mm_per_px)
+        u, v = (columns + 0.5) / width - 0.5, np.full(width, (row + 0.5) / height - 0.5)
+        slope = rest_slope(x_mm, y_mm, presses.dome_radius_mm)
+        position = position_features(u, v, light, degree)
+        terms = light_terms(*slope, np.zeros_like(u), model.degree, model.bend)
+        background[row] -= model.of_terms(terms, position)
+        if fit.network is not None:
+            background[row] -= fit.network.grey(*slope, position)
+    return background

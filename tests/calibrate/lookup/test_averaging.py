@@ -1,0 +1,99 @@
+"""What joins the smooth model, on light, labels and drift that are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tacgen.calibrate.lookup.model_choice import _drift_share
+from tacgen.calibrate.lookup.press_fit import PressSums, learn_labels
+from tacgen.calibrate.lookup.random_light import N_UNITS, units
+from tacgen.calibrate.lookup.settings import FitSettings
+from tacgen.calibrate.lookup.smooth_model import (
+    bent_normal,
+    n_light_terms,
+    n_position_features,
+    position_features,
+)
+
+LIGHT = np.stack([np.outer(np.linspace(0.5, -0.5, 40), np.ones(50)) ** k for k in (1, 2, 3)], -1)
+
+
+def slopes_and_places(seed, n):
+    rng = np.random.default_rng(seed)
+    gx, gy = rng.normal(scale=0.7, size=(2, n))
+    u, v = rng.uniform(-0.5, 0.5, (2, n))
+    return gx, gy, u, v
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.25])
+def test_a_bent_normal_keeps_its_direction(bend):
+    gx, gy, *_ = slopes_and_places(0, 100)
+    bent, sine = bent_normal(gx, gy, bend), np.sin(np.arctan(np.hypot(gx, gy)))
+    np.testing.assert_allclose(np.arctan2(bent[1], bent[0]), np.arctan2(gy, gx))
+    expected = sine * np.sqrt((1 + bend**2) / (sine**2 + bend**2)) if bend else sine
+    np.testing.assert_allclose(np.hypot(*bent), expected)
+
+
+def test_units_say_nothing_of_level_gel():
+    *_, u, v = slopes_and_places(1, 50)
+    said = units(np.zeros(50), np.zeros(50), position_features(u, v, LIGHT, 2), 0.0)
+    assert said.shape == (50, N_UNITS)
+    assert not said.any()
+
+
+def test_units_hold_light_that_no_polynomial_of_low_degree_does():
+    """Light that saturates at a slope which differs across the image, learnt from 3000 pixels."""
+
+    def truth(gx, gy, u, v):
+        return np.tanh(6 * (gx + 0.5 * u)) - np.tanh(3 * u) + gy * v
+
+    gx, gy, u, v = slopes_and_places(2, 3000)
+    said = units(gx, gy, position_features(u, v, LIGHT, 1), 0.0).astype(float)
+    grey = truth(gx, gy, u, v)
+    weights = np.linalg.solve(said.T @ said / 3000 + 1e-6 * np.eye(N_UNITS), said.T @ grey / 3000)
+    gx, gy, u, v = slopes_and_places(3, 1000)
+    made = units(gx, gy, position_features(u, v, LIGHT, 4), 0.0) @ weights
+    grey = truth(gx, gy, u, v)
+    assert np.sqrt(np.mean((made - grey) ** 2)) < 0.15 * grey.std()
+
+
+def test_labels_that_scatter_more_than_the_presses_lead_to_their_middle():
+    rng = np.random.default_rng(4)
+    geometry = np.column_stack([*rng.normal([1.0, -2.0], 0.02, (24, 2)).T, np.full(24, 0.8)])
+    labels = (
+        geometry + np.array([0.0, 0.0, 0.5]) + np.pad(rng.normal(0, 0.2, (24, 2)), ((0, 0), (0, 1)))
+    )
+    learnt = learn_labels(labels, geometry)
+    off = learnt.geometry(labels) - geometry
+    assert np.abs(off[:, :2]).max() < 0.1
+    far = learnt.geometry(np.array([[8.0, 8.0, 1.3]]))[0]
+    assert np.abs(far[:2] - 8.0).max() <= 0.5 * 1.3 + 1e-9  # no press has told of there
+
+
+def test_labels_of_presses_all_over_the_gel_keep_their_places():
+    rng = np.random.default_rng(5)
+    geometry = np.column_stack([rng.uniform(-6, 6, (24, 2)), np.full(24, 0.8)])
+    labels = geometry - [0.3, -0.1, 0.0] + np.pad(rng.normal(0, 0.1, (24, 2)), ((0, 0), (0, 1)))
+    off = learn_labels(labels, geometry).geometry(labels) - geometry
+    assert np.abs(off[:, :2].mean(axis=0)).max() < 0.02
+    assert off[:, :2].std() < 0.13
+
+
+@pytest.mark.parametrize("comes_again", [True, False])
+def test_drift_that_comes_again_is_kept_other_drift_is_left_out(comes_again):
+    """Drift that is the same function of what is pressed where, or noise of each press."""
+    rng = np.random.default_rng(6)
+    settings = FitSettings(degree=1, position_degree=1, ridge=1e-9)
+    n_columns = n_light_terms(1) * n_position_features(1)
+    light, again = rng.normal(size=(2, n_columns, 3))
+    sums = []
+    for _ in range(5):
+        columns = rng.normal(size=(60, n_columns))
+        drift = columns @ again if comes_again else 3 * rng.normal(size=(60, 3))
+        target = np.hstack([columns @ light + drift, drift])
+        sums.append(
+            PressSums(columns.T @ columns, columns.T @ target, (target**2).sum(axis=0), 60.0)
+        )
+    share = _drift_share(sums, settings, 0, float(comes_again))
+    assert share < 0.01 if comes_again else share > 0.9
