@@ -180,17 +180,20 @@ def _explain_depths(
     known = depth_curves.known_radii(curves, radius_mm)[0]
     doubts = compliance_doubts(found.shared_k_n, 2 * found.reference_n, table)
     doubts = [] if known else doubts  # else those of the log are said already
-    zeros_n = [curve.zero_n for curve in curves if curve.zero_n] or [0.0]
-    untared = (
-        f"{log}: force_normal_n is {min(zeros_n):.3g} to {max(zeros_n):.3g} N at rest: that is "
-        "subtracted from each curve; tare the gauge before you record"
-    )
+    least = depth_curves.LEAST_ZERO_SHARE
+    zeros_n = [one.zero_n for one in curves if abs(one.zero_n) > least * np.ptp(one.force_n)]
+    untared = []
+    if zeros_n:
+        untared.append(
+            f"{log}: force_normal_n is {min(zeros_n):.3g} to {max(zeros_n):.3g} N at rest: that is "
+            "subtracted from each curve; tare the gauge before you record"
+        )
     warnings = (
         *read.warnings,
         *map(str, read.dropped),
         *left_out,
         *doubts,
-        *([untared] if any(zeros_n) else []),
+        *untared,
         *depth_curves.depth_warnings(log, found, known),
     )
     provenance: dict[str, Any] = {

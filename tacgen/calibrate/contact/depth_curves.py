@@ -34,7 +34,7 @@ SYSTEMATIC_CORRELATION = 0.5
 MIN_SHARED_P = 0.05
 """p of Cochran's test below which one k_n for all curves is given up; the usual 5 %."""
 MIN_AT_REST = 3  # rows before the contact that state the gauge's zero
-LEAST_ZERO_SHARE = 0.005  # of the force's span: less does not matter beside any interval
+LEAST_ZERO_SHARE = 0.005  # of the force's span: a zero below that is not worth a word
 RISE_SHARE = 0.01  # of the largest force: up to there a curve has not risen
 RISE_EXPECTED_SHARE = 0.03  # of it: a fit that expects more there puts the contact too early
 
@@ -162,7 +162,7 @@ def read_depth_curves(log: PressLog) -> tuple[tuple[DepthCurve, ...], list[str]]
 
 
 def _zero_n(depth_mm: FloatArray, force_n: FloatArray) -> float:
-    """What a gauge reads before the contact, N; 0 where too few rows say it, or it is no more.
+    """What a gauge reads before the contact, N; 0 where too few rows say it.
 
     Rows without depth are at rest where their forces scatter alone: else the contact came earlier.
     """
@@ -172,11 +172,7 @@ def _zero_n(depth_mm: FloatArray, force_n: FloatArray) -> float:
     zero_n, span_n = float(np.median(at_rest)), float(np.ptp(force_n))
     scatter_n = 1.4826 * float(np.median(np.abs(at_rest - zero_n)))
     noise_n = 1.4826 * float(np.median(np.abs(np.diff(force_n, 2)))) / math.sqrt(6.0)
-    rests = scatter_n <= max(2.0 * noise_n, RISE_SHARE * span_n)
-    is_clear = abs(zero_n) > max(
-        5.0 * scatter_n / math.sqrt(len(at_rest)), LEAST_ZERO_SHARE * span_n
-    )
-    return zero_n if rests and is_clear else 0.0
+    return zero_n if scatter_n <= max(2.0 * noise_n, RISE_SHARE * span_n) else 0.0
 
 
 def explain_curves(curves: tuple[DepthCurve, ...], radius_mm: float | None = None) -> DepthReport:
@@ -306,7 +302,12 @@ def _standard_errors(
     design = np.stack(
         [(force_n(*(at + step)) - force_n(*(at - step))) / (2 * step.max()) for step in steps]
     )
-    errors = np.sqrt(np.diag(np.linalg.pinv(design @ design.T)))
+    inverse = np.linalg.pinv(design @ design.T)
+    # A zero that is the median of rows at rest is off by π/2 of the variance of their mean.
+    at_rest = int((curve.depth_mm <= 0).sum())
+    variance = 0.5 * math.pi / at_rest if at_rest >= MIN_AT_REST else 0.0
+    by_zero = (inverse @ design).sum(axis=1) ** 2 * variance
+    errors = np.sqrt(np.diag(inverse) + by_zero)
     return np.append(errors, 0.0)[:3]
 
 

@@ -14,6 +14,7 @@ from tacgen.calibrate.contact.command import calibrate_contact
 from tacgen.calibrate.contact.depth_curves import (
     DepthCurve,
     Pooled,
+    _zero_n,
     check_identified,
     depth_warnings,
     explain_curves,
@@ -219,3 +220,28 @@ def test_an_untared_gauge_is_subtracted_and_said(tmp_path, zero_n):
     assert any("at rest: that is subtracted" in warning for warning in found.warnings) == bool(
         zero_n
     )
+
+
+@pytest.mark.slow
+def test_clean_curves_of_one_gel_share_their_k_n_whatever_the_gauges_zero():
+    """Twenty logs of 12 presses; each curve's error covers what its noise and its zero do."""
+    shared, covered, off = 0, 0, []
+    for seed in range(1000, 1020):
+        rng = np.random.default_rng(seed)
+        zero_n, curves = rng.choice([0.0, 0.005, 0.02, 0.05]), []
+        for press in range(12):
+            swing = (0.6 + 0.05 * press) * np.sin(np.pi * np.arange(80) / 79)
+            depth = np.maximum(0.0, swing - 0.05)
+            force = np.pi * depth**2 * (4.0 - depth / 3) / 5.2 + zero_n + rng.normal(0, 0.01, 80)
+            table = DepthCurve(str(press), depth, force - _zero_n(depth, force), 4.0)
+            curves.append(table)
+        report = explain_curves(tuple(curves))
+        shared += report.one_k_n_will_do
+        covered += report.k_interval[0] <= 5.2 <= report.k_interval[1]
+        for fit in report.curves.values():
+            low, high = np.log(fit.k_interval)
+            off.append(np.log(fit.k_n / 5.2) / ((high - low) / 3.92))
+    assert shared >= 17  # Cochran's Q is tested at 5 %
+    assert covered >= 17  # of 20 intervals of 95 %, three out have a chance of 7 %
+    assert np.std(off) == pytest.approx(0.95, abs=0.15)  # 240 standardised errors
+    assert abs(np.mean(off)) < 0.25  # of which those of one log share nothing but the design
