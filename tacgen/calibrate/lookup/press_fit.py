@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from tacgen.calibrate.lookup.prepared import Pixels, PreparedPresses, Sample
-from tacgen.calibrate.lookup.random_light import RandomLight, units
 from tacgen.calibrate.lookup.settings import RULES, FitSettings
 from tacgen.calibrate.lookup.smooth_model import (
     SmoothModel,
@@ -167,9 +166,7 @@ def plain_press_model(contact_radius_mm: float, dome_radius_mm: float = 0.0) -> 
 
 @dataclass(frozen=True, slots=True)
 class JointFit:
-    """The light, the press model, and the geometry (N, 3), mm, of each press.
-
-    The light is a smooth model and, if it was averaged with one, a network, which adds to it.
+    """A smooth model, the press model, and the geometry (N, 3), mm, of each press.
 
     ``drift_share`` is the share of the presses' drift (lamps and camera drift in a session) that
     was subtracted from the contacts, so that it does not go into the table.
@@ -179,27 +176,6 @@ class JointFit:
     press_model: PressModel
     geometry: FloatArray
     drift_share: float = 0.0
-    network: RandomLight | None = None
-
-    def predicted(self, sample: Sample, geometry: FloatArray) -> FloatArray:
-        """Change of grey level (n, 3) at the pixels of a press at ``geometry``."""
-        change = predicted(sample, geometry, self.press_model, self.model)
-        if self.network is None:
-            return change
-        said = _added_units(sample, geometry, self.press_model, self.network.bend)
-        return change + said @ self.network.weights
-
-
-def _added_units(
-    sample: Sample, geometry: FloatArray, press_model: PressModel, bend: float
-) -> FloatArray:
-    """What a network's units say of a press, less what they say of the gel at rest."""
-    gx, gy, _ = press_model.surface(geometry, sample.ball_radius_mm, sample.pixels)
-    said = units(gx, gy, sample.position, bend)
-    if press_model.dome_radius_mm > 0:
-        x, y = sample.pixels.x_mm, sample.pixels.y_mm
-        said -= units(*rest_slope(x, y, press_model.dome_radius_mm), sample.position, bend)
-    return said
 
 
 def predicted(
@@ -261,20 +237,12 @@ def press_sums(
     press_model: PressModel,
     settings: FitSettings,
     target: FloatArray,
-    *,
-    with_units: bool = False,
 ) -> PressSums:
-    """Normal equations of a press at a place, for targets (n, 3 · n_targets).
-
-    ``with_units`` adds a network's units to the columns of the smooth model.
-    """
+    """Normal equations of a press at a place, for targets (n, 3 · n_targets)."""
     root = np.sqrt(sample.weight)[:, None]
     terms = _added_terms(sample, geometry, press_model, settings.degree, settings.bend)
     position = first_features(sample.position, n_position_features(settings.position_degree))
     weighted = design(terms * root, position)
-    if with_units:
-        said = _added_units(sample, geometry, press_model, settings.bend)
-        weighted = np.hstack([weighted, said * root])
     return PressSums(
         gram=weighted.T @ weighted,
         moment=weighted.T @ (target * root),

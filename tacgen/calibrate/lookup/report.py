@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from tacgen.calibrate.lookup.press_fit import predicted
 from tacgen.calibrate.lookup.score import PressRenderer
 from tacgen.calibrate.lookup.table_fit import Calibration
 from tacgen.core.arrays import FloatArray
@@ -71,7 +72,7 @@ def _residual_figure(calibration: Calibration) -> Figure:
     radius: list[FloatArray] = []
     fitted: list[FloatArray] = []
     for sample, place in zip(samples, fit.geometry, strict=True):
-        fitted.append(fit.predicted(sample, place))
+        fitted.append(predicted(sample, place, fit.press_model, fit.model))
         distance = np.hypot(sample.pixels.x_mm - place[0], sample.pixels.y_mm - place[1])
         radius.append(distance / sample.label[2])
     change, model = np.concatenate([sample.change for sample in samples]), np.concatenate(fitted)

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from tacgen.calibrate.lookup.averaging import averaged
 from tacgen.calibrate.lookup.model_choice import Choice, choose, fold_of
 from tacgen.calibrate.lookup.prepared import PreparedPresses
 from tacgen.calibrate.lookup.press_fit import JointFit, fit_light, place_jointly
@@ -129,16 +128,10 @@ def _fit(prepared: PreparedPresses) -> tuple[LookupTable, JointFit, Choice]:
         placed = place_jointly(prepared, background, choice.settings, start=placed, iterations=3)
     placed = replace(placed, drift_share=choice.drift_share)
     fit = fit_light(prepared, background, choice.settings, placed)
-    average = averaged(prepared, fit, background, choice.settings)
-    errors = choice.errors | {f"averaged with a network, share {average.share:.2f}": average.error}
-    choice = replace(choice, errors=errors)
-    table = _tabulate(prepared, average.fit, choice, average.share)
-    return table, average.fit, choice
+    return _tabulate(prepared, fit, choice), fit, choice
 
 
-def _tabulate(
-    prepared: PreparedPresses, fit: JointFit, choice: Choice, network_share: float
-) -> LookupTable:
+def _tabulate(prepared: PreparedPresses, fit: JointFit, choice: Choice) -> LookupTable:
     """The fitted model as a table that renders without any of the fit's code."""
     presses = prepared.presses
     steepest = steepest_slope_rad(presses, fit)
@@ -157,7 +150,6 @@ def _tabulate(
             **asdict(choice.settings),
             "ring_weights": list(RULES.ring_weights),
             **asdict(choice.background),
-            "network_share": network_share,
         },
         "drift_share": fit.drift_share,
     }
@@ -196,12 +188,6 @@ def _looked_up(
     slope_rad, direction_rad = nodes(RESPONSE_SLOPES, RESPONSE_DIRECTIONS)
     # Half precision: a twentieth of a grey level in a change of a hundred, in half the file.
     response = model.responses(slope_rad, direction_rad, position)
-    if fit.network is not None:
-        places = np.tile(position, (len(direction_rad), 1))
-        for change, slope in zip(response, slope_rad, strict=True):
-            along = np.stack([np.cos(direction_rad), np.sin(direction_rad)])
-            gx, gy = np.repeat(np.tan(slope) * along, len(position), axis=1)
-            change += fit.network.grey(gx, gy, places).reshape(change.shape)
     quadratic = np.einsum("fp,sdpc->sdfc", np.linalg.pinv(features(u, v)), response)[..., None, :]
     slope_rad, direction_rad = nodes(N_SLOPE, N_DIRECTION)
     tangent = np.tan(slope_rad)[:, None]
@@ -264,6 +250,4 @@ def without_rest(
         position = position_features(u, v, light, degree)
         terms = light_terms(*slope, np.zeros_like(u), model.degree, model.bend)
         background[row] -= model.of_terms(terms, position)
-        if fit.network is not None:
-            background[row] -= fit.network.grey(*slope, position)
     return background

@@ -1,4 +1,4 @@
-"""What joins the smooth model, on light, labels and drift that are known."""
+"""Bent normals, labels and drift that are known."""
 
 from __future__ import annotations
 
@@ -7,16 +7,12 @@ import pytest
 
 from tacgen.calibrate.lookup.model_choice import _drift_share
 from tacgen.calibrate.lookup.press_fit import PressSums, learn_labels
-from tacgen.calibrate.lookup.random_light import N_UNITS, units
 from tacgen.calibrate.lookup.settings import FitSettings
 from tacgen.calibrate.lookup.smooth_model import (
     bent_normal,
     n_light_terms,
     n_position_features,
-    position_features,
 )
-
-LIGHT = np.stack([np.outer(np.linspace(0.5, -0.5, 40), np.ones(50)) ** k for k in (1, 2, 3)], -1)
 
 
 def slopes_and_places(seed, n):
@@ -33,29 +29,6 @@ def test_a_bent_normal_keeps_its_direction(bend):
     np.testing.assert_allclose(np.arctan2(bent[1], bent[0]), np.arctan2(gy, gx))
     expected = sine * np.sqrt((1 + bend**2) / (sine**2 + bend**2)) if bend else sine
     np.testing.assert_allclose(np.hypot(*bent), expected)
-
-
-def test_units_say_nothing_of_level_gel():
-    *_, u, v = slopes_and_places(1, 50)
-    said = units(np.zeros(50), np.zeros(50), position_features(u, v, LIGHT, 2), 0.0)
-    assert said.shape == (50, N_UNITS)
-    assert not said.any()
-
-
-def test_units_hold_light_that_no_polynomial_of_low_degree_does():
-    """Light that saturates at a slope which differs across the image, learnt from 3000 pixels."""
-
-    def truth(gx, gy, u, v):
-        return np.tanh(6 * (gx + 0.5 * u)) - np.tanh(3 * u) + gy * v
-
-    gx, gy, u, v = slopes_and_places(2, 3000)
-    said = units(gx, gy, position_features(u, v, LIGHT, 1), 0.0).astype(float)
-    grey = truth(gx, gy, u, v)
-    weights = np.linalg.solve(said.T @ said / 3000 + 1e-6 * np.eye(N_UNITS), said.T @ grey / 3000)
-    gx, gy, u, v = slopes_and_places(3, 1000)
-    made = units(gx, gy, position_features(u, v, LIGHT, 4), 0.0) @ weights
-    grey = truth(gx, gy, u, v)
-    assert np.sqrt(np.mean((made - grey) ** 2)) < 0.15 * grey.std()
 
 
 def test_labels_that_scatter_more_than_the_presses_lead_to_their_middle():
