@@ -30,11 +30,11 @@ from tacgen.presses.screening import usable_presses
 from tacgen.sensor.description import load_sensor
 from validation.optics.sampled_table import with_reference
 
-SENSORS = ("virtual_gelsight", "virtual_gelsight_mini", "digit")
+SENSORS = ("virtual_gelsight", "gelsight_mini", "digit")
 REAL = {"gelsight": 0.0295}
-"""Sensors with real presses, and their mm/px at 640 × 480: Taxim's, and the Mini's window."""
+"""Sensors with real presses, and mm/px of their pictures."""
 PRESS_RADIUS_MM = 2.0
-"""Of the ball: Taxim's of 4 mm. That of the Mini is not stated, and taken to be the same."""
+"""Of Taxim's ball."""
 SMALL = (24, 48, 13)
 """Nodes of slope, of direction and along the longer side of a table that ships."""
 BALLS_MM = ((2.0, 1.1), (2.5, 0.9), (4.0, 0.9))

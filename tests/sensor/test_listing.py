@@ -25,7 +25,7 @@ def said(*words: str) -> str:
 def test_what_is_virtual_is_called_so():
     rows = {row["name"]: row for row in sensor_rows()}
     assert "48 real ball presses" in rows["gelsight"]["colors_from"]
-    for name in ("digit", "virtual_gelsight", "virtual_gelsight_mini"):
+    for name in ("digit", "virtual_gelsight", "gelsight_mini"):
         assert "virtual sensor" in rows[name]["colors_from"]
     listed = said("list").splitlines()
     assert len(listed) == 1 + len(rows)

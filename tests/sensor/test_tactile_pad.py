@@ -201,7 +201,7 @@ def test_both_cameras_press_the_same(table, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["virtual_gelsight", "virtual_gelsight_mini", "digit"])
+@pytest.mark.parametrize("name", ["virtual_gelsight", "gelsight_mini", "digit"])
 def test_the_shipped_tables_render_unseen_presses_as_the_virtual_sensor(name):
     """Balls of sizes and places that the fit had not; noise-free, in grey levels."""
     sensor = load_sensor(name)
