@@ -102,6 +102,9 @@ IMAGES = "tests/sensor/test_read_image.py"
 HOSTILE = "tests/test_hostile_files.py"
 BODIES, REST, ADD = (f"tests/objects/test_{name}.py" for name in ("bodies", "rest", "add"))
 SIMULATED = "tests/sensor/test_simulated.py"
+TOUCH, BESIDE = "tests/sensor/test_touch.py", "tests/contact/test_beside_the_window.py"
+FOLDER, SETS = "tests/presses/test_press_folder.py", "tests/presses/test_measured_presses.py"
+VALIDITY, EXPORTS = "tests/dataset/test_validity.py", "tests/dataset/test_export_formats.py"
 
 ROWS = [
     # one reader of images
@@ -112,14 +115,28 @@ ROWS = [
     Row(1, "real presses of known depth", "their volumes", f"{IMAGES}::test_real_balls_of_known_depth"),
     Row(1, "16-bit, float and transparent pictures", "8 bits, or refused with their range", "tests/presses/test_press_folder.py::test_grey_pictures_are_said"),
     # calibration carries its meaning
+    Row(2, "colours of a virtual sensor", "called so", "tests/sensor/test_listing.py::test_what_is_virtual_is_called_so"),
     Row(2, "what calibrate lookup hands over", "a sensor that loads, with its dome", "tests/cli/test_habits.py::test_tables_hand_over_a_sensor_that_loads"),
     Row(2, "a table of another resolution", "refused with both", "tests/collection/test_pipeline.py::test_a_table_of_another_resolution_is_named_with_both"),
     Row(2, "an image of another size than the table", "refused", f"{IMAGES}::test_pictures_that_do_not_fit_are_refused"),
     # what is pressed is what touches
+    Row(3, "a child link that touches", "pressed, with its force", f"{TOUCH}::test_a_child_link_that_touches_is_pressed"),
+    Row(3, "a child body that touches", "pressed, with its force", f"{TOUCH}::test_a_child_body_that_touches_is_pressed"),
+    Row(3, "geoms for show", "not pressed", f"{TOUCH}::test_geoms_that_do_not_touch_the_gel_are_not_pressed"),
+    Row(3, "a rib beside the window", "no imprint: outside_window", f"{TOUCH}::test_a_plate_on_ribs_beside_the_window_leaves_no_imprint"),
+    Row(3, "a ball held above the gel", "no imprint", f"{TOUCH}::test_a_ball_that_studs_hold_above_the_gel_leaves_no_imprint"),
+    Row(3, "a face larger than the gel", "the window's share of the force", f"{BESIDE}::test_a_face_larger_than_the_gel_shares_its_force_by_area"),
+    Row(3, "a grip at the pad's rim", "no other surface", "tests/collection/test_pipeline.py::test_a_grip_at_the_pads_rim_shows_no_other_surface"),
     Row(3, "a ball that was moved away since the step", "it does not press", f"{SIMULATED}::test_what_was_moved_away_since_the_step_does_not_press"),
     Row(3, "substeps of the engine", "the whole force", f"{SIMULATED}::test_substeps_of_pybullet_do_not_divide_the_force"),
     Row(3, "an object beside the pad", "the gel at rest", "tests/sensor/test_tactile_pad.py::test_an_object_beside_the_pad_leaves_the_picture_of_the_gel_at_rest"),
     # validity is part of the result
+    Row(4, "a gel that is pressed through", "saturated", f"{TOUCH}::test_a_load_that_presses_the_gel_through_is_saturated"),
+    Row(4, "frames of a dataset", "a flag each", f"{VALIDITY}::test_each_frame_of_a_shard_has_its_flags"),
+    Row(4, "frames in the summary", "counted", f"{VALIDITY}::test_the_summary_counts_frames_and_grasps_at_their_moment"),
+    Row(4, "frames on pages", "named", f"{VALIDITY}::test_the_pages_name_them"),
+    Row(4, "frames in exports", "a flag each", f"{VALIDITY}::test_exports_have_them"),
+    Row(4, "markers of a sensor without any", "refused", "tests/collection/test_recipe.py::test_markers_of_a_sensor_without_any_are_refused"),
     Row(4, "no contact", "zero force, and so it says", f"{IMAGES}::test_no_contact_is_zero_force_and_says_so"),
     Row(4, "walls steeper than the table", "a lower bound, and so it says", f"{IMAGES}::test_walls_steeper_than_the_table_are_reported"),
     Row(4, "a force that cannot be", "refused", f"{SIMULATED}::test_a_force_that_cannot_be_is_refused"),
@@ -159,6 +176,11 @@ ROWS = [
     Row(6, "a gauge that was not tared", "its zero is subtracted, and so it says", "tests/calibrate/contact/test_rest_zero.py::test_a_gauge_that_was_not_tared"),
     Row(6, "each reading in several rows", "used once, and so it says", "tests/presses/test_independent_rows.py::test_the_first_row_of_a_reading_that_stands_is_kept"),
     # meshes as people have them
+    Row(7, "a scan without its bottom", "closed, and what changed is said", f"{BODIES}::test_a_scan_without_its_bottom_is_closed_and_what_changed_is_said"),
+    Row(7, "a strip with one side", "refused", f"{BODIES}::test_a_strip_with_one_side_is_refused"),
+    Row(7, "a container without thickness", "refused", f"{ADD}::test_a_container_without_thickness_is_refused"),
+    Row(7, "a URDF with several links", "each where its joints put it", "tests/objects/test_urdf.py::test_links_are_where_their_joints_put_them"),
+    Row(7, "suggested places that fail", "not written", f"{ADD}::test_the_largest_grid_without_bad_places_is_kept"),
     Row(7, "an inverted handle", "its mass all the same", f"{BODIES}::test_the_handle_adds_its_mass_whichever_way_its_faces_look"),
     Row(7, "a closed hollow box", "hollow", f"{BODIES}::test_a_closed_cavity_stays_hollow"),
     Row(7, "two bodies apart, one inverted", "both", f"{BODIES}::test_two_bodies_apart_of_which_one_is_inverted"),
@@ -169,16 +191,26 @@ ROWS = [
     Row(7, "a mug with its handle anywhere", "grasped as suggested", f"{REST}::test_a_mug_can_be_grasped_as_suggested_wherever_its_handle_points"),
     Row(7, "a folder of meshes", "added, and what is refused is said", f"{ADD}::test_a_folder_of_meshes_is_added_and_what_is_refused_is_said"),
     # objects at rest
+    Row(8, "a grasp of what does not stand", "status toppled, with the reason", "tests/physics/test_toppling.py::test_a_grasp_of_it_has_the_status_toppled_and_says_why"),
     Row(8, "a box that leans", "falls as its centre of mass lies", f"{REST}::test_a_leaning_box_falls_back_before_and_over_beyond_its_critical_angle"),
     Row(8, "an overhang", "topples and lies flat", f"{REST}::test_an_overhang_topples_to_its_hull_and_lies_flat"),
     Row(8, "an import that does not stand", "rested, and so it says", f"{REST}::test_the_import_rests_it_and_says_how"),
     # heuristics warn, proofs refuse
+    Row(9, "real sets, whole and in part", "none refused", f"{SETS}::test_no_part_of_a_real_set_is_refused"),
+    Row(9, "real sets of another view", "refused", f"{SETS}::test_another_view_is_refused"),
+    Row(9, "what is odd about a press", "a warning; only what is certain drops it", f"{FOLDER}::test_what_is_certain_drops_a_press_and_what_is_odd_warns"),
+    Row(9, "a label where nothing is seen", "contradicts the picture", f"{FOLDER}::test_a_label_where_nothing_is_seen_contradicts_the_picture"),
     Row(9, "a faint contact in the background", "no reason to refuse", "tests/presses/test_press_folder.py::test_a_faint_contact_does_not_make_a_press_of_the_background"),
     Row(9, "a background of another sensor", "refused", "tests/presses/test_press_folder.py::test_a_background_that_is_not_of_these_presses"),
     # exports hold everything
+    Row(10, "two pads in folders of pictures", "both", f"{EXPORTS}::test_folders_of_pictures_hold_both_pads"),
+    Row(10, "two pads in Python", "both", f"{EXPORTS}::test_a_grasp_in_python_has_both_pads"),
+    Row(10, "24 frames in 3 s to LeRobot", "their own times", "tests/dataset/test_lerobot.py::test_timestamps_are_the_times_of_the_frames"),
+    Row(10, "depth once a grasp", "and so it says", f"{EXPORTS}::test_exports_say_what_there_is_of_depth"),
     Row(10, "two pads to LeRobot", "two cameras", "tests/dataset/test_lerobot.py::test_two_pads_are_two_cameras"),
     Row(10, "images of frames", "with forces and depth", "tests/dataset/test_export_formats.py::test_images_hold_frames_forces_and_depth"),
     # versions
+    Row(11, "a network of a newer tacgen", "made by a newer tacgen; upgrade", "tests/learning/test_predictor.py::test_a_run_of_a_newer_tacgen_says_so"),
     Row(11, "a table of a newer tacgen", "made by a newer tacgen; upgrade", f"{HOSTILE}::test_a_table_of_a_newer_tacgen_says_so"),
     Row(11, "a manifest or plan of a newer tacgen", "made by a newer tacgen; upgrade", f"{HOSTILE}::test_plans_of_datasets"),
     Row(11, "a run of another version", "refused", "tests/learning/test_evaluate.py::test_a_plan_that_is_not_of_this_version_is_refused"),
@@ -200,6 +232,9 @@ ROWS = [
     Row(12, "paths that lead out of an imported set", "refused", "tests/presses/test_import_formats.py::test_names_that_lead_out_of_the_set_are_refused"),
     Row(12, "letters that steer a terminal", "shown as escapes", f"{HOSTILE}::test_messages_neither_steer_the_terminal_nor_fill_it"),
     # messages
+    Row(13, "a grey picture for a network of colours", "refused", "tests/learning/test_predictor.py::test_grey_pictures_are_refused"),
+    Row(13, "a picture of another size", "refused with its name", "tests/learning/test_predictor.py::test_a_picture_of_another_size_is_named"),
+    Row(13, "a key of another section", "its whole name", "tests/collection/test_recipe.py::test_a_part_of_a_key_hints_the_key"),
     Row(13, "an animation in the place of a file", "refused", "tests/cli/test_collect_folders.py::test_an_animation_does_not_replace_a_file"),
 ]  # fmt: skip
 
