@@ -29,6 +29,7 @@ def write_world(folder: Path, **sections: str) -> Path:
     (sensors / "coarse.yaml").write_text(
         "name: coarse\nheight_px: 48\nwidth_px: 64\nmm_per_px: 0.3\ngel_depth_mm: 2.0\n"
         "dome_radius_mm: 30\ntable: coarse.npz\n"
+        "markers: {rows: 5, columns: 7, pitch_mm: 2.5, radius_mm: 0.4}\n"
     )
     save_table(slope_table((48, 64), 0.3), sensors / "coarse.npz")
     lines = [line for line in RECIPE.strip().splitlines() if line.split(":")[0] not in sections]

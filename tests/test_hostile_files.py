@@ -263,6 +263,15 @@ def test_plans_of_datasets(tmp_path, changes, words):
         DatasetFolder(folder.root).plan()
 
 
+def test_a_plan_that_lacks_a_key_is_broken(tmp_path):
+    folder = collect_toy(tmp_path / "data", make_spec(n_grasps=4))
+    plan = json.loads(folder.plan_path.read_text())
+    del plan["inputs"]
+    folder.plan_path.write_text(json.dumps(plan))
+    with pytest.raises(DatasetError, match="missing or broken"):
+        DatasetFolder(folder.root).plan()
+
+
 def test_a_plan_of_a_newer_tacgen_says_so_whatever_it_holds(tmp_path):
     folder = collect_toy(tmp_path / "data", make_spec(n_grasps=4))
     folder.plan_path.write_text('{"schema": 3, "grasps": "elsewhere"}')

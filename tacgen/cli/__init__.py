@@ -29,7 +29,7 @@ from tacgen.cli import (  # noqa: F401
     sensors,
 )
 from tacgen.cli.common import app
-from tacgen.core.disk import disk_message
+from tacgen.core.disk import DiskFile, disk_message
 from tacgen.core.errors import Interrupted, TacgenError
 from tacgen.core.progress import LOG
 
@@ -62,7 +62,7 @@ def main() -> None:
 
 
 def _ignore_signals() -> None:
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM):
         signal.signal(number, signal.SIG_IGN)
 
 
@@ -80,7 +80,8 @@ def _interrupt(_signal: int, _frame: object) -> None:
     _interruptions.append(_signal)
     # The thread of a pool whose processes are ended under it has nothing to say.
     threading.excepthook = lambda _thrown: None
-    raise Interrupted
+    if not DiskFile.holds_interruptions():
+        raise Interrupted
 
 
 def _raise_again(ignored: "sys.UnraisableHookArgs") -> None:

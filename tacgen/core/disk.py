@@ -6,8 +6,9 @@ import io
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any, Self
 
-from tacgen.core.errors import DatasetError
+from tacgen.core.errors import DatasetError, Interrupted
 
 _AGAIN = "run the same command again"
 _FIXES = {
@@ -53,12 +54,35 @@ class DiskFile(io.FileIO):
 
     HDF5 cannot close a file whose last bytes do not fit on the disk: it holds on to it and to the
     space, or ends the process. Others lose the reason. So a failed write only sets ``failure``,
-    later ones do nothing, and whoever writes calls ``raise_failure`` when it suits.
+    later ones do nothing, and whoever writes calls ``raise_failure`` when it suits. An interruption
+    waits for that too: raised amid a write, it can end the process in HDF5's own code.
     """
+
+    _n_open = 0
+    _interrupted = False
+
+    @classmethod
+    def holds_interruptions(cls) -> bool:
+        """Whether a file is being written, so that an interruption that has just come waits."""
+        DiskFile._interrupted = DiskFile._n_open > 0
+        return DiskFile._interrupted
 
     def __init__(self, path: Path) -> None:
         super().__init__(path, "w+")
         self.failure: OSError | None = None
+
+    def __enter__(self) -> Self:
+        """Interruptions wait from here on."""
+        DiskFile._n_open += 1
+        return super().__enter__()
+
+    def __exit__(self, kind: type[BaseException] | None, *about: Any) -> None:
+        """Close it; an interruption that waited is raised, unless another error is on its way."""
+        super().__exit__(kind, *about)
+        DiskFile._n_open -= 1
+        waited, DiskFile._interrupted = DiskFile._interrupted, False
+        if waited and kind is None:
+            raise Interrupted
 
     def write(self, data: object) -> int:
         """Write all of ``data``, or remember why not."""
@@ -80,6 +104,9 @@ class DiskFile(io.FileIO):
             return size or 0
 
     def raise_failure(self) -> None:
-        """Raise the first error there was, if any."""
+        """Raise the first error there was, if any, or an interruption that waited."""
         if self.failure is not None:
             raise self.failure
+        if DiskFile._interrupted:
+            DiskFile._interrupted = False
+            raise Interrupted

@@ -191,11 +191,13 @@ class DatasetFolder:
                 msg = f"{self.plan_path}: {problem}"
                 raise DatasetError(msg)
             numbers = [plan[name] for name in ("n_grasps", "shard_size", "n_shards")]
-            is_whole = all(isinstance(number, int) and number > 0 for number in numbers)
             kinds = {"inputs": dict, "grids": list, "parts": list}
-            is_whole &= all(isinstance(plan[name], kind) for name, kind in kinds.items())
             # JSON's true is an int in Python.
-            is_whole &= all(type(part) is int and part > 0 for part in plan["parts"])
+            is_whole = (
+                all(isinstance(number, int) and number > 0 for number in numbers)
+                and all(isinstance(plan[name], kind) for name, kind in kinds.items())
+                and all(type(part) is int and part > 0 for part in plan["parts"])
+            )
         if not is_whole:
             fix = "give the folder that `tacgen collect --out` made"
             name = self.plan_path.name

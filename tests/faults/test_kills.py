@@ -136,7 +136,7 @@ def test_a_worker_and_then_the_parent_are_killed_and_the_next_run_finds_no_lock(
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGHUP])
 def test_nothing_outlives_a_killed_run(tmp_path, number):
     """No process and no temporary folder, five seconds later."""
-    grid = "{force_n: [3, 25], y_mm: [0], z_mm: {linspace: [60, 140, 40]}}"
+    grid = "{force_n: [3, 25], y_mm: [0], z_mm: {linspace: [60, 140, 400]}}"
     world = write_world(tmp_path, grid=grid)  # long enough to be killed amid its work
     # Sockets lie there, whose paths may be 107 characters long.
     temporary = Path(tempfile.mkdtemp(prefix="killed-", dir="/tmp"))

@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tacgen.core.disk import DiskFile
+from tacgen.core.errors import Interrupted
 from tests.dataset.conftest import collect_toy, make_spec
 from validation.processes.random_kills import processes_of
 
@@ -59,6 +61,26 @@ def test_exports_end_whenever_they_are_interrupted(layout: str, tmp_path: Path) 
         assert code == 130, said
         assert "Traceback" not in said, said
         assert [path.name for path in tmp_path.glob(f"*e{k}*")] == []
+
+
+def test_an_interruption_waits_until_a_write_is_done(tmp_path: Path) -> None:
+    """Raised in a callback of HDF5 it would end the process there."""
+    assert not DiskFile.holds_interruptions()
+    with DiskFile(tmp_path / "a") as disk:
+        assert DiskFile.holds_interruptions()
+        disk.write(b"whole")
+        with pytest.raises(Interrupted):
+            disk.raise_failure()
+        disk.raise_failure()  # once
+    assert (tmp_path / "a").read_bytes() == b"whole"
+    with pytest.raises(Interrupted), DiskFile(tmp_path / "a"):
+        assert DiskFile.holds_interruptions()
+    with pytest.raises(ValueError, match="own"), DiskFile(tmp_path / "a"):
+        assert DiskFile.holds_interruptions()
+        raise ValueError("own")
+    with DiskFile(tmp_path / "a"):
+        pass  # nothing waits any more
+    assert not DiskFile.holds_interruptions()
 
 
 def test_what_a_library_makes_of_an_interruption_is_one():

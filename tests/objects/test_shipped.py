@@ -12,8 +12,8 @@ from scipy.spatial import ConvexHull
 from tacgen.core.resources import packaged
 from tacgen.core.units import STANDARD_GRAVITY_M_S2
 from tacgen.objects import load_object
+from tacgen.objects.cutting import MAX_PART_VERTICES
 from tacgen.objects.description import read_description
-from tacgen.objects.mesh_import import MAX_PART_VERTICES
 from tacgen.objects.meshes import volume_mm3
 from tacgen.objects.shading import depth_view, view_axes
 from tacgen.physics import GraspSimulator, PhysicsSettings
