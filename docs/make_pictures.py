@@ -68,7 +68,7 @@ def grasp() -> Figure:
             "name": "picture",
             "objects": ["golf_ball"],
             "grid": {"force_n": [1, 3, 6, 12, 24], "y_mm": 2, "z_mm": 21},
-            "sensor": "gelsight_mini",
+            "sensor": "gelsight",
             "optics": {"shadows": True, "noise": False},
         }
     )
@@ -122,7 +122,7 @@ def press() -> Figure:
 
 def stages() -> Figure:
     """A tilted ring pressed into a GelSight Mini: the maps from gap to image."""
-    sensor = tacgen.Sensor("gelsight_mini", shadows=True)
+    sensor = tacgen.Sensor("gelsight", shadows=True)
     ring = trimesh.creation.annulus(r_min=2.0, r_max=4.0, height=3.0)
     pose = trimesh.transformations.rotation_matrix(np.radians(15.0), (1, 0, 0))
     frame = sensor.render(ring, pose, force_n=4.0)
@@ -160,7 +160,7 @@ def frames() -> Figure:
     _axes(world, 16.0, "x_mm", "y_mm")
     world.set(xlim=(-42, 42), ylim=(-36, 26), aspect="equal", title="world (z up)")
     ball = trimesh.creation.icosphere(subdivisions=5, radius=4.0)
-    gel.imshow(tacgen.Sensor("gelsight_mini").render(ball, np.eye(4), force_n=3.0).rgb,
+    gel.imshow(tacgen.Sensor("gelsight").render(ball, np.eye(4), force_n=3.0).rgb,
                extent=(-9.28, 9.28, 6.96, -6.96))  # fmt: skip
     _axes(gel, 4.0, "x: columns", "y: rows")
     gel.set_title("gel (z out of the gel)")
@@ -178,14 +178,15 @@ def _axes(axis: Axes, length: float, x_name: str, y_name: str) -> None:
 def reading() -> Figure:
     """The image of a hexagonal nut's face, and the depth that is read from it."""
     nut = trimesh.creation.cylinder(radius=3.0, height=4.0, sections=6)
-    sensor = tacgen.Sensor("gelsight_mini")
+    sensor = tacgen.Sensor("gelsight")
     image = sensor.render(nut, np.eye(4), force_n=2.0)
     found = tacgen.read_image(image.rgb, sensor)
     figure = Figure(figsize=(9.0, 2.6), layout="constrained")
     axes = figure.subplots(1, 3)
     axes[0].imshow(image.rgb)
     axes[0].set_title("image, 2 N", fontsize=9)
-    text = f"read: {found.force_n[2]:.2f} ± {found.force_stderr_n[2]:.2f} N"
+    at_least = "at least " if found.lower_bound else ""
+    text = f"read: {at_least}{found.force_n[2]:.2f} ± {found.force_stderr_n[2]:.2f} N"
     for axis, depth_mm, title in ((axes[1], image.depth_mm, "true depth (mm)"),
                                   (axes[2], found.depth_mm, text)):  # fmt: skip
         shown = axis.imshow(depth_mm, vmin=0, vmax=float(image.depth_mm.max()))
@@ -198,7 +199,7 @@ def reading() -> Figure:
 
 def augmentation() -> Figure:
     """A training image, and what five epochs see of it."""
-    sensor, rng = tacgen.Sensor("gelsight_mini"), np.random.default_rng(0)
+    sensor, rng = tacgen.Sensor("gelsight"), np.random.default_rng(0)
     ball = trimesh.creation.icosphere(subdivisions=5, radius=4.0)
     size = (80, 60)
     images = [sensor.render(ball, np.eye(4), force_n=3.0).rgb, sensor.at_rest_rgb()]

@@ -165,9 +165,6 @@ class Reconstructor:
         self, table: LookupTable, background: NDArray[np.uint8], dome_radius_mm: float = 0.0
     ) -> None:
         height, width = background.shape[:2]
-        if wrong := other_view(background, table.background):
-            msg = f"the background does not match the table's: {wrong}; {SAME_VIEW}"
-            raise TableError(msg)
         self._background = background
         self._table = table
         self._step = max(1, round(width / MAX_WIDTH_PX))
@@ -178,6 +175,11 @@ class Reconstructor:
         self._grid = _cartesian(table, self.steepest)
         self._rest = _rest_slopes(self._shape, self.mm_per_px, dome_radius_mm)
         self._rest_colors = self._colors_at(self._rest)[0]
+        # The gel at rest as the table renders it: on a dome, its own background is another picture.
+        dome = cv2.resize(self._rest_colors.astype(np.float32), (width, height))
+        if wrong := other_view(background, table.background + dome):
+            msg = f"the background does not match the table's: {wrong}; {SAME_VIEW}"
+            raise TableError(msg)
         height, width = self._shape
         tiles = [
             ((top, min(top + TILE_PX, height)), (left, min(left + TILE_PX, width)))

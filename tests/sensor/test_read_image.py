@@ -21,6 +21,7 @@ from tacgen.contact.law import ContactLaw, FittedEffect
 from tacgen.core.errors import SensorError, TableError
 from tacgen.core.images import encode_png
 from tacgen.core.records import ContactFrame, Estimate
+from tacgen.core.resources import sensor_files
 from tacgen.core.safe_io import read_rgb
 from tacgen.optics import save_table
 from tacgen.optics.reconstruct import Reconstructor
@@ -492,3 +493,15 @@ def test_a_file_that_is_no_picture_is_named_once(reader, tmp_path):
     with pytest.raises(SensorError) as error:
         read_files(reader, [path], tmp_path / "out")
     assert str(error.value).count("cut.png") == 1
+
+
+@pytest.mark.parametrize("name", list(sensor_files()))
+def test_every_shipped_sensor_reads_what_it_renders(name):
+    """With no background but its own, which on a dome is not the table's."""
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=4.0)
+    sensor = tacgen.Sensor(name)
+    reading = tacgen.read_image(sensor.render(ball, np.eye(4), force_n=4.0).rgb, sensor)
+    # A table of noisy real presses tells slopes to a tenth: within its stated error, or 5 %.
+    off = abs(reading.force_n[2] - 4.0)
+    assert off <= max(0.2, 2 * reading.force_stderr_n[2])
+    assert off <= 0.4
