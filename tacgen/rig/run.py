@@ -12,6 +12,7 @@ from tacgen.contact.law import load_law, save_law
 from tacgen.core.files import atomic_path, refuse_existing, refuse_foreign
 from tacgen.core.progress import print_status
 from tacgen.core.version import __version__
+from tacgen.optics.table import load_table
 from tacgen.rig.effects import SessionTruth, true_response
 from tacgen.rig.images import LAST, write_images
 from tacgen.rig.rig_recipe import RigRecipe
@@ -72,6 +73,11 @@ def run_rig(recipe: RigRecipe, out: Path, *, force: bool = False) -> list[Path]:
             session.log.round(DECIMALS).to_csv(partial, index=False)
         written.append(log)
     if recipe.output != "log":
+        if sensor.table and "virtual" not in load_table(sensor.table).origin:
+            print_status(
+                f"warning: the rig's pictures are those of a virtual sensor: the table of "
+                f"{sensor.name}, which is real, does not read them; calibrate one of these presses"
+            )
         written.append(write_images(recipe, sensor, session.log, session.truth, presses))
     return written
 

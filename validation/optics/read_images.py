@@ -21,7 +21,7 @@ from tacgen.sensor.description import load_sensor
 from tacgen.sensor.read_image import ImageReader
 from tacgen.sensor.simulated import Sensor
 
-SENSORS = ("gelsight_mini", "gelsight", "digit")
+SENSORS = ("gelsight_mini", "virtual_gelsight", "digit")
 
 
 def press_errors(name: str, presses: int, seed: int, table: str | None) -> np.ndarray:
