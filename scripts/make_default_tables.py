@@ -150,14 +150,17 @@ def make_real_table(name: str, calib: Path) -> LookupTable:
     n_slope, n_direction, n_columns = SMALL
     n_rows = max(2, round(n_columns * shape[2] / shape[3]))
     sizes = (n_slope, n_direction, n_rows, n_columns)
+    at = [np.linspace(0, n - 1, size) for n, size in zip(shape, sizes, strict=False)]
+    at[1] = np.arange(n_direction) * shape[1] / n_direction  # directions wrap around
+    closed = np.concatenate([table.response, table.response[:, :1]], axis=1)
     background = np.round(table.background * 16) / 16
     return replace(
         table,
         background=background.astype(np.float32),
         coefficients=table.coefficients.astype(np.float16).astype(np.float32),
-        response=resampled(table.response, sizes),
+        response=resampled(closed, at),
         contact=table.contact
-        and replace(table.contact, change=resampled_places(table.contact.change, sizes[2:])),
+        and replace(table.contact, change=resampled(table.contact.change, at[2:])),
         sensor=name,
         provenance={
             **table.provenance,
@@ -170,25 +173,11 @@ def make_real_table(name: str, calib: Path) -> LookupTable:
     )
 
 
-def resampled(
-    response: NDArray[np.float32], sizes: tuple[int, int, int, int]
-) -> NDArray[np.float32]:
-    """A response at fewer nodes, linear between its own; the directions wrap around."""
-    n_direction = response.shape[1]
-    closed = np.concatenate([response, response[:, :1]], axis=1)
-    axes = [np.arange(n, dtype=float) for n in closed.shape[:4]]
-    at = [np.linspace(0, n - 1, size) for n, size in zip(response.shape, sizes, strict=False)]
-    at[1] = np.arange(sizes[1]) * n_direction / sizes[1]
+def resampled(values: NDArray[np.float32], at: list[FloatArray]) -> NDArray[np.float32]:
+    """Values on a grid of nodes, linear between them, at other places along its first axes."""
+    axes = [np.arange(n, dtype=float) for n in values.shape[: len(at)]]
     points = np.stack(np.meshgrid(*at, indexing="ij"), axis=-1)
-    return np.asarray(RegularGridInterpolator(axes, closed)(points), np.float32)
-
-
-def resampled_places(change: NDArray[np.float32], sizes: tuple[int, ...]) -> NDArray[np.float32]:
-    """What a contact adds, at fewer nodes of position."""
-    axes = [np.arange(n, dtype=float) for n in change.shape[:2]]
-    at = [np.linspace(0, n - 1, size) for n, size in zip(change.shape, sizes, strict=False)]
-    points = np.stack(np.meshgrid(*at, indexing="ij"), axis=-1)
-    return np.asarray(RegularGridInterpolator(axes, change)(points), np.float32)
+    return np.asarray(RegularGridInterpolator(axes, values)(points), np.float32)
 
 
 def main(folder: Path, calib: Path | None) -> None:

@@ -138,6 +138,7 @@ def calibrate_export(
     format_name: Annotated[
         str, Option("--format", help="taxim: the calibration folder of Taxim's simulators.")
     ] = "taxim",
+    dome_radius_mm: common.DomeRadiusOption = None,
     json_output: common.JsonFlag = False,
 ) -> None:
     """Write a table for other simulators; prints what their form of it loses."""
@@ -149,7 +150,7 @@ def calibrate_export(
 
     require_known("--format", format_name, ("taxim",), TableError)
     loaded = load_table(table)
-    loss = export_taxim(loaded, out)
+    loss = export_taxim(loaded, out, dome_radius_mm)
     if loaded.effects:
         common.warn([f"left out: {', '.join(loaded.effects)}, which Taxim's form has no place for"])
     common.print_result({"folder": str(out), **asdict(loss)}, [str(out), loss.line()], json_output)

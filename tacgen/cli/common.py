@@ -137,6 +137,10 @@ RecipeArgument = Annotated[
         autocompletion=recipe_names,
     ),
 ]
+DomeRadiusOption = Annotated[
+    float | None,
+    Option(help="Radius of the gel's dome, mm; default: the table's, flat where it states none."),
+]
 ForceFlag = Annotated[bool, Option("--force", help="Replace existing results.")]
 DatasetArgument = Annotated[Path, Argument(help="Folder of a dataset that `tacgen collect` wrote.")]
 PressesArgument = Annotated[

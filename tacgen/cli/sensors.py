@@ -46,9 +46,7 @@ def sensors_add(
     gel_depth_mm: Annotated[
         float, Option(help="Thickness of the gel, the largest indentation, mm.", min=0.1)
     ] = 2.0,
-    dome_radius_mm: Annotated[
-        float | None, Option(help="Radius of the gel's dome, mm; default: that of the presses.")
-    ] = None,
+    dome_radius_mm: common.DomeRadiusOption = None,
     force: common.ForceFlag = False,
 ) -> None:
     """Add a sensor to ./recipes/sensors from a calibrated table; recipes can then name it."""

@@ -94,8 +94,8 @@ def validity_lines(summary: Mapping[str, Any]) -> list[str]:
         return []
     kinds = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in grasps.items())
     return [
-        f"images of {found['grasps']['of']} grasps at their moment that do not show the whole "
-        f"force: {kinds} (each frame's flags are in the shards)"
+        "images that do not show the whole force at the moment of grasp, of "
+        f"{found['grasps']['of']} grasps: {kinds} (each frame's flags are in the shards)"
     ]
 
 

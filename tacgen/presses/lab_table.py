@@ -653,7 +653,7 @@ def _csv(path: Path) -> _Parts:
     text = _decoded(path.read_bytes()).replace("\r\n", "\n").replace("\r", "\n")
     _refuse_large(path, text.count("\n"), MAX_CELLS // 2, "rows")
     text = text.replace("\u2212", "-")  # the sign that word processors write
-    of_formulas = '=""' in text  # as spreadsheets are told to keep a text: ="1.0"
+    of_formulas = '=""' in text  # how spreadsheets mark a text: ="1.0"
     lines = text.split("\n")
     start, delimiter = _header_line(lines)
     lines[start] = lines[start].lstrip().lstrip(MARKS)

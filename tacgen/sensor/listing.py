@@ -17,6 +17,7 @@ from tacgen.core.errors import RecipeError, TacgenError
 from tacgen.core.files import atomic_path, refuse_existing, sha256_of
 from tacgen.core.records import Mesh
 from tacgen.core.resources import packaged, sensor_files, sensor_path
+from tacgen.core.safe_io import read_rgb
 from tacgen.optics.table import LookupTable, load_table
 from tacgen.sensor.description import load_sensor
 from tacgen.sensor.simulated import Sensor
@@ -129,13 +130,11 @@ def write_picture(name: str, path: Path) -> None:
     frames = [sensor.render(ball, np.eye(4), force_n=force_n) for force_n in FORCES_N]
     shown = [("rendered: at rest", sensor.at_rest_rgb())]
     for force_n, frame in zip(FORCES_N, frames, strict=True):
-        saturated = ", gel saturated" if getattr(frame, "saturated", False) else ""
+        saturated = ", gel saturated" if frame.saturated else ""
         title = f"rendered: ball of {2 * BALL_RADIUS_MM:g} mm, {force_n:g} N{saturated}"
         shown.append((title, frame.rgb))
     real = sensor_path(name).with_name(f"{sensor_path(name).stem}.press.jpg")
     if real.is_file():
-        from tacgen.core.safe_io import read_rgb
-
         shown.append(("a real press of this sensor", read_rgb(real)))
     figure = Figure(figsize=(3.4 * len(shown), 3.0), layout="constrained")
     canvas = FigureCanvasAgg(figure)
@@ -149,7 +148,7 @@ def write_picture(name: str, path: Path) -> None:
 
 
 def _ball(radius_mm: float) -> Mesh:
-    """A fine half ball that hangs over the gel."""
+    """A fine ball."""
     import trimesh
 
     ball = trimesh.creation.icosphere(subdivisions=6, radius=radius_mm)
@@ -176,7 +175,7 @@ def add_sensor(
     folder = Path("recipes/sensors")
     description, copy = folder / f"{name}.yaml", folder / f"{name}.table.npz"
     refuse_existing(force, description, copy)
-    stated = table.provenance.get("press_model", {}).get("dome_radius_mm", 0.0)
+    stated = table.geometry.get("dome_radius_mm", 0.0)
     height, width = table.shape_px
     sensor = records.Sensor(
         name=name,

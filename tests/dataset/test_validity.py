@@ -71,8 +71,8 @@ def test_the_summary_counts_frames_and_grasps_at_their_moment(dataset):
         "grasps": {"of": 8, "saturated": 1, "no_contact": 0, "outside_window": 1},
     }
     text = summary_text(summary)
-    assert "images    48 of pads: 3 saturated, 2 no contact, 1 outside window\nsize" in text
-    line = "images of 8 grasps at their moment that do not show the whole force: 1 saturated, 1 "
+    assert "images    48 of all pads: 3 saturated, 2 no contact, 1 outside window\nsize" in text
+    line = "images that do not show the whole force at the moment of grasp, of 8 grasps: 1 "
     assert line in text
     assert validity_lines(summary)[0].startswith(line)
     assert "| … of which outside window | 1 |" in write_card(dataset.root).read_text()

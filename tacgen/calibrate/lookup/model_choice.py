@@ -76,18 +76,18 @@ def choose(prepared: PreparedPresses, fit: press_fit.JointFit) -> Choice:
     def by_picture(settings: FitSettings) -> FloatArray:
         return held_out_squares(columns_for(settings), folds, settings)
 
-    def clearly_better(rival: FitSettings, background: int) -> bool:
-        less = by_picture(settings)[:, chosen] - by_picture(rival)[:, background]
+    def clearly_better(candidate: FitSettings, background: int) -> bool:
+        less = by_picture(settings)[:, chosen] - by_picture(candidate)[:, background]
         return is_clear(per_experiment(less, experiment))
 
     plain, *bends = RULES.bends
     settings, chosen = best(plain, 0), 0
     for background in range(1, len(RULES.backgrounds)):
-        if clearly_better(rival := best(plain, background), background):
-            settings, chosen = rival, background
+        if clearly_better(candidate := best(plain, background), background):
+            settings, chosen = candidate, background
     for bend in bends:
-        if clearly_better(rival := best(bend, chosen), chosen):
-            settings = rival
+        if clearly_better(candidate := best(bend, chosen), chosen):
+            settings = candidate
     weight = 3 * sum(entry.weight for entry in sums[plain])
     errors = {
         f"{settings}, {recipe}": float(np.sqrt(square / weight))

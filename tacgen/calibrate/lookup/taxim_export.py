@@ -1,7 +1,7 @@
 """A table as the folder of calibration files that simulators with Taxim's optics load.
 
 Taxim's form is poorer than a table: one quadratic in image position for each bin of slope and
-direction, which is not told how deep the gel is pressed. What the form can hold best is found on
+direction, whatever the depth of the contact. What the form can hold best is found on
 pictures of simulated ball presses; what it loses is measured on other presses, and reported.
 """
 
@@ -65,18 +65,19 @@ class TaximLoss:
         )
 
 
-def export_taxim(table: LookupTable, out: Path) -> TaximLoss:
+def export_taxim(table: LookupTable, out: Path, dome_radius_mm: float | None = None) -> TaximLoss:
     """Write ``polycalib.npz``, ``dataPack.npz``, ``gelmap.npy``, ``shadowTable.npz`` and
     ``params.json``, whole or not at all.
 
-    The gel's rest shape is that of the table's presses. The shadows' table is empty: tables hold
+    ``dome_radius_mm`` is that of the gel at rest; by default the table's, flat where it states
+    none. The shadows' table is empty: tables hold
     none. Parameters of the deformation are Taxim's, in mm; its mixing of the first frame with a
     blurred one is off, so the gel at rest is the table's.
 
     Source: Si & Yuan 2022, Taxim; the files that the package ``taxim`` 1.4.1 reads.
     """
-    sensor = _sensor(table)
-    by_pixel = taxim_coefficients(table)
+    sensor = _sensor(table, dome_radius_mm)
+    by_pixel = taxim_coefficients(table, sensor)
     loss = _loss(table, by_pixel, sensor)
     arrays: dict[str, Any] = {
         name: by_pixel[:, :, channel] for channel, name in enumerate(CHANNELS_RGB)
@@ -102,8 +103,10 @@ def export_taxim(table: LookupTable, out: Path) -> TaximLoss:
     return loss
 
 
-def taxim_coefficients(table: LookupTable) -> NDArray[np.float64]:
+def taxim_coefficients(table: LookupTable, sensor: Sensor) -> NDArray[np.float64]:
     """Coefficients (bins, bins, 3, 6) of pixel features, RGB: Taxim's form nearest to a table.
+
+    ``sensor`` has the shape of the gel at rest.
 
     A table that is one of Taxim's gives its own back.
     """
@@ -114,19 +117,19 @@ def taxim_coefficients(table: LookupTable) -> NDArray[np.float64]:
         turned = np.roll(table.coefficients.astype(np.float64), 1 - n_slope, axis=1)
         sectors = turned[:, 1::2]  # both halves of each are alike
         return np.asarray(np.concatenate([sectors, sectors[:, :1]], axis=1) @ to_pixels)
-    return np.asarray(_fitted(table, BINS) @ to_pixels)
+    return np.asarray(_fitted(table, sensor, BINS) @ to_pixels)
 
 
-def _sensor(table: LookupTable) -> Sensor:
+def _sensor(table: LookupTable, dome_radius_mm: float | None) -> Sensor:
     height, width = table.shape_px
-    dome_mm = table.provenance.get("press_model", {}).get("dome_radius_mm", 0.0)
+    stated = table.geometry.get("dome_radius_mm", 0.0)
     return Sensor(
         name=table.sensor or "sensor",
         width_px=width,
         height_px=height,
         mm_per_px=table.mm_per_px,
         gel_depth_mm=4.0,
-        dome_radius_mm=float(dome_mm),
+        dome_radius_mm=stated if dome_radius_mm is None else dome_radius_mm,
     )
 
 
@@ -148,14 +151,13 @@ def _prior(table: LookupTable, bins: int) -> NDArray[np.float64]:
     return prior
 
 
-def _fitted(table: LookupTable, bins: int) -> NDArray[np.float64]:
+def _fitted(table: LookupTable, sensor: Sensor, bins: int) -> NDArray[np.float64]:
     """Coefficients (bins, bins, 3, 6) of position, least squares over simulated presses."""
     n_bins = bins * bins
     normal = np.zeros((N_FEATURES, N_FEATURES, n_bins))
     right = np.zeros((N_FEATURES, 3, n_bins))
     place = _places(table.shape_px)
     shader = Shader(table)
-    sensor = _sensor(table)
     presses = list(_presses(sensor, FITTED_BALLS, 0.0))
     rest_mm = gel_map_mm(sensor)
     for pressed_mm, weight in [(rest_mm, float(len(presses))), *((one, 1.0) for one in presses)]:

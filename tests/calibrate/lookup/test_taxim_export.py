@@ -39,7 +39,7 @@ def test_taxims_own_table_comes_back(tmp_path):
     np.savez(tmp_path / "polycalib.npz", **polycalib)
     np.save(tmp_path / "bg.npy", np.full((48, 64, 3), 120.0))
     table = import_polycalib(tmp_path / "polycalib.npz", tmp_path / "bg.npy", 0.1)
-    back = taxim_coefficients(table)
+    back = taxim_coefficients(table, tacgen.Sensor("digit").description)
     for channel, name in enumerate(("grad_b", "grad_g", "grad_r")):
         # In float32, and without the last direction, which is met at exactly π alone.
         scale = np.abs(polycalib[name]).max(axis=(0, 1))
