@@ -328,11 +328,18 @@ class TactilePad:
         self._markers_drawn = markers
         self._drawn: Imprint | None = None
 
-    def press(self, mesh: Mesh, pose_gel_object: FloatArray, load: GelLoad) -> Imprint:
+    def press(
+        self,
+        mesh: Mesh,
+        pose_gel_object: FloatArray,
+        load: GelLoad,
+        before: Imprint | None = None,
+    ) -> Imprint:
         """The imprint of an object at a pose (4, 4), object to gel frame in mm.
 
         Where along z the object stands does not matter: it is taken to first touch, and from
         there pressed in until the gel has lost the load's volume, or to the load's depth.
+        ``before`` is the imprint of the frame before, whose shear the gel remembers; None: at rest.
         """
         imprint = self.indenter.indent(mesh, pose_gel_object, load)
         shear = np.asarray(load.shear_sum_mm, dtype=np.float64)
@@ -376,6 +383,36 @@ class TactilePad:
         if imprint.markers is not None and imprint.motion is not None:
             return imprint.markers.displaced_mm(imprint.motion)
         return self._points_mm
+
+    @property
+    def marker_rest_mm(self) -> NDArray[np.float64]:
+        """Places (M, 2) of the markers at rest, gel frame; a plain grid where the gel has none."""
+        return self._points_mm
+
+    def marker_motion_mm(self, imprint: Imprint) -> NDArray[np.float64]:
+        """How far each marker (M, 2) is from where it is at rest, x and y of the gel, mm."""
+        if imprint.motion is None or not imprint.depth_mm.size:
+            return np.zeros_like(self._points_mm)
+        return self._field(imprint).displaced_mm(imprint.motion) - self._points_mm
+
+    def force_field_n(
+        self, imprint: Imprint, force_n: FloatArray, shape: tuple[int, int]
+    ) -> NDArray[np.float64]:
+        """Force on each cell of a grid over the window, (rows, columns, 3): shear x, y, normal.
+
+        It sums to ``force_n`` (3,), the part of the frame's force that acts in the window.
+        """
+        field_n = np.zeros((*shape, 3))
+        depth_mm = imprint.depth_map_mm(self.sensor)
+        total = float(depth_mm.sum(dtype=np.float64))
+        if total <= 0:
+            return field_n
+        rows, columns = np.nonzero(depth_mm)
+        cells = (rows * shape[0] // depth_mm.shape[0], columns * shape[1] // depth_mm.shape[1])
+        share = np.zeros(shape)
+        np.add.at(share, cells, depth_mm[rows, columns] / total)
+        field_n[:] = share[..., None] * np.asarray(force_n, np.float64)
+        return field_n
 
     def render(
         self,
