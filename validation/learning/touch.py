@@ -21,6 +21,9 @@ from numpy.typing import NDArray
 
 import tacgen
 from tacgen.learning.evaluate import evaluate
+from tacgen.learning.grasps import SimulatedGrasps
+from tacgen.learning.run_folder import RunFolder
+from tacgen.learning.splits import unseen_tests
 from tacgen.learning.train import train
 from tacgen.learning.training_recipe import load_train_recipe
 
@@ -36,8 +39,8 @@ FRAMES: dict[str, dict[str, Any]] = {
     "single": {"mode": "single"},
     "sequence": {"mode": "sequence", "count": 5, "span_s": 0.8},
 }
-"""``single`` is the moment of grasp, before the gel carries the object; ``sequence`` ends some 0.2 s
-after the start of the lift, when it does, but has risen a few mm."""
+"""``single`` is the moment of grasp, before the gel carries the object; ``sequence`` ends some
+0.2 s after the start of the lift, when it does, but has risen a few mm."""
 INPUTS: dict[str, dict[str, Any]] = {
     "single": {"size_px": [40, 52]},
     "sequence": {"size_px": [32, 42], "frames": 3, "until": "outcome"},
@@ -103,14 +106,10 @@ def trained(
 
 def right(run: Path, data: Path) -> NDArray[np.bool_]:
     """Which test grasps of ``data`` the run classifies right, in the order of their indices."""
-    found = evaluate(run, data)
-    wrong = {int(one["grasp_id"]) for one in found["misclassified"]}
-    columns = tacgen.Dataset(data).columns()
-    tested = columns["index"][(columns["split"] == "test") & (columns["label"] >= 0)]
-    if len(tested) != found["n"]:
-        msg = f"{data}: {found['n']} grasps were tested, not the {len(tested)} of its test split"
-        raise ValueError(msg)
-    return ~np.isin(tested, list(wrong))
+    source = SimulatedGrasps(data)
+    unseen, _ = unseen_tests(RunFolder(run).plan(), source, str(data))
+    wrong = [one["grasp_id"] for one in evaluate(run, data)["misclassified"]]
+    return ~np.isin(source.table.ids[unseen], wrong)
 
 
 def row(
