@@ -101,7 +101,13 @@ class GraspPipeline:
         ``rng`` draws the camera's noise.
         """
         frames, factor = grasp.trace.frames[pad], grasp.variation.k_n_factor
-        loads = gel_loads(law or self._law, frames, grasp_index=SETTLED_PRESS, k_n_factor=factor)
+        loads = gel_loads(
+            law or self._law,
+            frames,
+            grasp_index=SETTLED_PRESS,
+            k_n_factor=factor,
+            friction=grasp.grasped.friction,
+        )
         images = np.empty((len(frames), *self._pad.sensor.shape_px, 3), dtype=np.uint8)
         rendered: list[TactileFrame] = []
         before: tuple[NDArray[np.float64], GelLoad] | None = None
