@@ -37,6 +37,7 @@ from tacgen.core.resources import (
 from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N, k_n_doubt
 from tacgen.core.yaml_source import KeyPath, YamlSource, load_checked, problem_text
 from tacgen.dataset.manifest import MAX_SHARD_GRASPS
+from tacgen.dataset.schema import MAX_CELLS
 from tacgen.physics.robots import RobotSpec, gripper_file, load_robot
 from tacgen.physics.settings import (
     MAX_FORCE_N,
@@ -182,8 +183,6 @@ class Split(Section):
     """Share of each object's grasps that are test grasps."""
 
 
-MAX_CELLS = 256
-"""Of a force field along a side: about one a pixel of the smallest sensor."""
 _Cells = Annotated[int, Field(ge=1, le=MAX_CELLS)]
 
 

@@ -39,6 +39,9 @@ NOISE_AT_LOAD = "noise_at_load_grey"
 REST = "rest_mm"
 """Attribute of an array: where what it moves from is at rest."""
 
+MAX_CELLS = 256
+"""Of a force field along a side: about one a pixel of the smallest sensor."""
+
 MAX_OBJECT_BYTES, MAX_REASON_BYTES = 64, 160
 
 

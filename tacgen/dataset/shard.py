@@ -25,6 +25,7 @@ from tacgen.dataset.schema import (
     FIELDS,
     FORMAT_VERSION,
     FRAMES_UNTIL,
+    MAX_CELLS,
     NOISE_AT_LOAD,
     REST,
     ArraySpec,
@@ -235,6 +236,7 @@ def _sizes_of(path: Path, file: h5py.File, layout: Layout, start: int, stop: int
     axes = {axis for array in layout.arrays() for axis in array.shape if isinstance(axis, str)}
     sizes = {axis: sizes.get(axis, 0) for axis in sorted(axes)}
     limits = dict.fromkeys(sizes, MAX_SIDE_PX) | {"N": MAX_GRASPS, "T": MAX_FRAMES}
+    limits |= dict.fromkeys(("rows", "columns"), MAX_CELLS)
     problems = [
         f"{k} = {sizes[k]} exceeds {limit}" for k, limit in limits.items() if sizes[k] > limit
     ]
