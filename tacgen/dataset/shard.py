@@ -236,7 +236,7 @@ def _sizes_of(path: Path, file: h5py.File, layout: Layout, start: int, stop: int
     axes = {axis for array in layout.arrays() for axis in array.shape if isinstance(axis, str)}
     sizes = {axis: sizes.get(axis, 0) for axis in sorted(axes)}
     limits = dict.fromkeys(sizes, MAX_SIDE_PX) | {"N": MAX_GRASPS, "T": MAX_FRAMES}
-    limits |= dict.fromkeys(("rows", "columns"), MAX_CELLS)
+    limits |= dict.fromkeys([k for k in ("rows", "columns") if k in sizes], MAX_CELLS)
     problems = [
         f"{k} = {sizes[k]} exceeds {limit}" for k, limit in limits.items() if sizes[k] > limit
     ]
