@@ -3,14 +3,14 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.contact.shear import ShearMotion, marker_pitch_mm
+from tacgen.contact.shear import ShearMotion, marker_grid_mm, marker_pitch_mm
 from tacgen.contact.shear_field import LATTICE_MM, ShearField, ShearState
 from tacgen.core.compiled import njit
 from tacgen.core.records import Sensor
 from tacgen.optics.smooth import Window
 from tacgen.sensor.gel_response import GelLoad
 
-DECAY_PER_GEL_DEPTH = 0.6
+DECAY_PER_GEL_DEPTH = 0.5
 """How far beside a contact the gel moves with it, over its thickness, where no law says it."""
 
 
@@ -42,7 +42,7 @@ class GelShear:
         )
         self._window_px = sensor.shape_px
         self._lattice_mm = self._pixels * sensor.mm_per_px
-        self._pitch_mm = marker_pitch_mm(sensor)
+        self._markers_mm, self._pitch_mm = marker_grid_mm(sensor), marker_pitch_mm(sensor)
         self._decay_mm = DECAY_PER_GEL_DEPTH * sensor.gel_depth_mm
         self._fields: dict[float, ShearField] = {}
 
@@ -52,7 +52,9 @@ class GelShear:
         if decay not in self._fields:
             rows, columns = self._shape
             size = columns * self._lattice_mm, rows * self._lattice_mm
-            self._fields[decay] = ShearField(*size, decay, self._lattice_mm)
+            self._fields[decay] = ShearField(
+                *size, decay, self._lattice_mm, self._markers_mm, self._pitch_mm
+            )
         return self._fields[decay]
 
     @property
