@@ -68,6 +68,17 @@ class ShearState:
 
 
 @njit(cache=True, nogil=True)
+def weighted(weight: Float64, values: Float64) -> Float64:
+    """Sums (n,) of values (rows, columns, n) by their weights, the same on every processor."""
+    sums = np.zeros(values.shape[2])
+    for r in range(weight.shape[0]):
+        for c in range(weight.shape[1]):
+            for k in range(values.shape[2]):
+                sums[k] += weight[r, c] * values[r, c, k]
+    return sums
+
+
+@njit(cache=True, nogil=True)
 def _add(sums: Float64, k: float, x: float, y: float) -> None:
     sums[0] += k
     sums[1] += k * x
@@ -318,8 +329,13 @@ class ShearField:
         limit[touches] = friction * pressure[touches]
         load = np.array([*force, float(torsion_n_mm)]) / self.lattice_mm**2
         x_mm, y_mm = self._x_mm - center[0], self._y_mm - center[1]
-        arm_mm = np.hypot(x_mm, y_mm[:, None])
-        within = load * min(1.0, GROSS_SLIP / max(_demand(load, limit, touches, arm_mm), 1e-12))
+        arm_mm = np.sqrt(x_mm**2 + y_mm[:, None] ** 2)
+        ones = np.ones((*self.shape, 1))
+        total, arm = weighted(pressure, np.concatenate([ones, arm_mm[..., None]], axis=-1))
+        # Howe & Cutkosky 1996: the limit surface as an ellipsoid.
+        demand = math.hypot(*load[:2]) / max(friction * total, 1e-12)
+        demand = math.hypot(demand, load[2] / max(friction * arm, 1e-12))
+        within = load * min(1.0, GROSS_SLIP / max(demand, 1e-12))
         start = self._at_rest(center) if before is None else before
         sheet, held, sticks = _wide(start.sheet), _wide(np.zeros((*self.shape, 2))), _wide(touches)
         slide = np.zeros(3)
@@ -336,7 +352,7 @@ class ShearField:
                 np.pad(x_mm, 1),
                 np.pad(y_mm, 1),
                 within,
-                max(float(arm_mm[touches].mean()), self.lattice_mm),
+                max(float(arm / total), self.lattice_mm),
                 self._alpha,
                 self._over,
                 tolerance,
@@ -344,11 +360,11 @@ class ShearField:
             )
         sheet, held, sticks = (one[1:-1, 1:-1] for one in (sheet, held, sticks))
         # What the sweeps, or friction, leave of the force acts as the pressure does.
-        rest = load[:2] - held.sum(axis=(0, 1))
-        traction = held + (pressure / pressure.sum())[..., None] * rest
+        share = pressure / total
+        rest = load[:2] - weighted(ones[..., 0], held)
+        traction = held + share[..., None] * rest
         sheet, held = np.round(sheet / GRAIN) * GRAIN, np.round(held / GRAIN) * GRAIN
-        seen = np.tensordot(pressure / pressure.sum(), self._seen, axes=([0, 1], [0, 1]))
-        seen = np.maximum(seen, LEAST_SEEN)
+        seen = np.maximum(weighted(share, self._seen), LEAST_SEEN)
         return ShearState(sheet, held, traction, pressure, sticks, slide, center, seen)
 
     def _at_rest(self, center_mm: Float64) -> ShearState:
@@ -394,21 +410,6 @@ def _wide(inner: NDArray[Any]) -> NDArray[Any]:
     wide = np.zeros((inner.shape[0] + 2, inner.shape[1] + 2, *inner.shape[2:]), inner.dtype)
     wide[1:-1, 1:-1] = inner
     return wide
-
-
-def _demand(load: Float64, limit: Float64, touches: NDArray[np.bool_], arm_mm: Float64) -> float:
-    """Force and moment over what friction can hold: 1 where all slips.
-
-    Source: Howe & Cutkosky 1996, the ellipsoid for the limit surface.
-    """
-    held = limit[touches]
-    force = float(held.sum())
-    if not math.isfinite(force):
-        return 0.0
-    moment = float((held * arm_mm[touches]).sum())
-    return math.hypot(
-        math.hypot(load[0], load[1]) / max(force, 1e-12), load[2] / max(moment, 1e-12)
-    )
 
 
 @njit(cache=True, nogil=True)
