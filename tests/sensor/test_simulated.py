@@ -468,3 +468,10 @@ def test_names_are_loaded_when_used():
     assert tacgen.Sensor is Sensor
     with pytest.raises(AttributeError, match="Senser"):
         tacgen.Senser  # noqa: B018
+
+
+def test_a_pull_that_friction_cannot_hold_is_said(sensor):
+    with pytest.warns(
+        UserWarning, match=r"more than friction holds \(0.8 × 2 N\): the object slides"
+    ):
+        sensor.render(BALL, np.eye(4), 2.0, (1.7, 0.0))
