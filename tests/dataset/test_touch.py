@@ -120,6 +120,7 @@ def test_depth_of_the_moment_of_grasp_alone_is_that_of_its_frame(tmp_path):
 
 
 def test_every_export_holds_it_of_both_pads(dataset, tmp_path):
+    pytest.importorskip("pyarrow")
     said = {
         name: export_dataset(dataset.root, tmp_path / name, name)["content"] for name in FORMATS
     }
