@@ -8,7 +8,7 @@ import trimesh
 
 from tacgen.contact.effects import all_effects
 from tacgen.contact.law import ContactLaw
-from tacgen.core.records import ContactFrame, Markers, Mesh, Sensor
+from tacgen.core.records import ContactFrame, Estimate, Markers, Mesh, Sensor
 from tacgen.sensor.gel_response import GelCourse, GelLoad, gel_loads
 from tacgen.sensor.tactile_pad import TactilePad
 from tests.contact.effects.test_reading import forms_of, law_of
@@ -212,16 +212,22 @@ def test_the_picture_of_a_press_depends_neither_on_the_clock_nor_on_reading_twic
         assert np.abs(other.rgb.astype(int) - plain.rgb).max() <= 1
 
 
-def test_shear_scaled_scales_the_motion():
-    law, pose = ContactLaw.default(), turned(0.0, at_mm=(1.0, 2.0, 4.0))
+def test_shear_scaled_scales_the_motion_of_what_sticks():
+    """To the millionth to which the field is solved; where the rim slips it moves farther."""
+    pose = turned(0.0, at_mm=(1.0, 2.0, 4.0))
+    sticky = replace(ContactLaw.default(), friction=Estimate(1e6))
+    once, twice = (shifts(FLAT, sticky, (k * 0.4, k * -0.2), pose, k * 1.5) for k in (1, 2))
+    np.testing.assert_allclose(twice[0], 2 * once[0], rtol=1e-4)
+    assert twice[1] == pytest.approx(2 * once[1], rel=1e-4)
+    law = ContactLaw.default()
     once, twice = (shifts(FLAT, law, (k * 0.4, k * -0.2), pose, k * 1.5) for k in (1, 2))
-    np.testing.assert_allclose(twice[0], 2 * once[0], rtol=1e-12)
-    assert twice[1] == pytest.approx(2 * once[1], rel=1e-12)
+    assert twice[0][0] > 2.05 * once[0][0]
 
 
 @pytest.mark.parametrize("center_mm", [None, (0.0, 0.0), (4.0, 2.0)])
 def test_a_pull_off_the_gels_middle_does_not_turn_the_object(center_mm):
     """About whatever point the moment of a pure shear is given, it has none about the patch."""
+    wide = replace(FLAT, height_px=360, width_px=480, markers=Markers(18, 24, 2.0, 0.2))
     law, pose = ContactLaw.default(), turned(0.0, at_mm=(5.0, -1.5, 4.0))
     ball = mesh_of(trimesh.creation.icosphere(subdivisions=5, radius=4.0))
     pull_n = np.array([0.3, 2.0])
@@ -229,7 +235,7 @@ def test_a_pull_off_the_gels_middle_does_not_turn_the_object(center_mm):
     arm = np.zeros(2) if center is None else np.array([5.0, -1.5]) - center
     torsion = arm[0] * pull_n[1] - arm[1] * pull_n[0]
     frame = ContactFrame(0.0, 4.0, pull_n, torsion, pose, center)
-    motion = pad_of(FLAT).press(ball, pose, gel_loads(law, [frame])[0]).motion
+    motion = pad_of(wide).press(ball, pose, gel_loads(law, [frame])[0]).motion
     # The patch's middle is that of its pixels: within a hundredth of a millimetre of the ball's.
     assert abs(np.degrees(motion.turn_rad)) < 0.003
     assert np.hypot(*motion.shift_mm) > 0.02
