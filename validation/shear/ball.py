@@ -81,9 +81,7 @@ class Touch:
 class BallContact:
     """A ball of ``radius_mm`` over the block's middle; it may touch within ``reach_mm``."""
 
-    def __init__(
-        self, block: GelBlock, radius_mm: float, friction: float, reach_mm: float
-    ) -> None:
+    def __init__(self, block: GelBlock, radius_mm: float, friction: float, reach_mm: float) -> None:
         self.block, self.radius_mm, self.friction = block, radius_mm, friction
         self.points_mm, self.index, self.sides, self.area_mm2 = block.contact_nodes(reach_mm)
         self._compliance = block.between(self.index, self.sides)
@@ -160,9 +158,7 @@ class BallContact:
         """Of the circle with the area of the nodes that touch."""
         return float(np.sqrt(self.area_mm2[touch.force_n[:, 2] < 0].sum() / np.pi))
 
-    def sheared_to(
-        self, before: Touch, direction: Float64, share: float, steps: int
-    ) -> Touch:
+    def sheared_to(self, before: Touch, direction: Float64, share: float, steps: int) -> Touch:
         """Moved along ``direction`` (2,) until the force along it is ``share`` of μF_n (± 0.2 %).
 
         A share of 1 or more (or -1) moves until all nodes slip.
@@ -195,9 +191,7 @@ class BallContact:
         """About how far the ball moves until all nodes slip."""
         shear = self.block.young_n_mm2 / (2 * (1 + self.block.poisson))
         pull_n = self.friction * self.normal_n(touch)
-        return 3 * pull_n * (2 - self.block.poisson) / (
-            16 * shear * self.contact_radius_mm(touch)
-        )
+        return 3 * pull_n * (2 - self.block.poisson) / (16 * shear * self.contact_radius_mm(touch))
 
     def _until(self, touch, reached, at, share: float, step: float):  # type: ignore[no-untyped-def]
         """March by ``step`` until ``reached`` is at ``share``, the last step by secants."""

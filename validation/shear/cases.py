@@ -1,5 +1,6 @@
-"""The referee's cases: balls pressed on the gel block, sheared, moved there and back, and turned."""
+"""The referee's cases: balls pressed on the gel block, sheared, there and back, and turned."""
 
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
@@ -128,6 +129,12 @@ def _state(case: Case, stop: str, ball: BallContact, touch: Touch) -> State:
         area_mm2=ball.area_mm2,
         slipping=ball.slipping(touch),
     )
+
+
+def say(line: str) -> None:
+    """Print a line."""
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()
 
 
 def mini_markers_mm() -> Float64:

@@ -30,12 +30,14 @@ PARITIES = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
 def spaced(fine_mm: float, end_mm: float, knots: tuple[float, ...]) -> Float64:
-    """Nodes from 0 to ``end_mm``: ``fine_mm`` apart to the first knot, twice that to the second,
-    then each gap 1.35 times the one before."""
+    """Nodes from 0 to ``end_mm``, ``fine_mm`` apart to the first knot, twice that to the second.
+
+    Then each gap is 1.35 times the one before, up to 1.5 mm.
+    """
     nodes, gap = [0.0], fine_mm
     while nodes[-1] < end_mm - 1e-9:
         if nodes[-1] > knots[1] - 1e-9:
-            gap = min(1.35 * gap, 10 * fine_mm)
+            gap = min(1.35 * gap, 1.5)
         elif nodes[-1] > knots[0] - 1e-9:
             gap = 2 * fine_mm
         nodes.append(nodes[-1] + gap)
@@ -47,10 +49,11 @@ def spaced(fine_mm: float, end_mm: float, knots: tuple[float, ...]) -> Float64:
 
 def layered(fine_mm: float, thickness_mm: float) -> Float64:
     """Heights of the planes of nodes from the back, -thickness, to the surface, 0."""
-    gaps, gap = [], fine_mm
+    gaps: list[float] = []
+    gap = fine_mm
     while sum(gaps) < thickness_mm - 1e-9:
         gaps.append(gap)
-        gap = min(1.25 * gap, 4 * fine_mm)
+        gap = min(1.25 * gap, thickness_mm / 6)
     scale = thickness_mm / sum(gaps)
     return -np.concatenate([[0.0], np.cumsum(gaps)])[::-1] * scale
 
@@ -69,7 +72,7 @@ class GelBlock:
 
     @cached_property
     def axes_mm(self) -> tuple[Float64, Float64]:
-        """x (n,) and y (m,) of a quarter's surface nodes."""
+        """Places x (n,), y (m,) of a quarter's surface nodes."""
         return (
             spaced(self.fine_mm, self.width_mm / 2, self.knots_mm),
             spaced(self.fine_mm, self.height_mm / 2, self.knots_mm),

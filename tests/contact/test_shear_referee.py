@@ -1,0 +1,87 @@
+"""The finite elements that judge the shear field, against closed forms."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("skfem")
+
+from validation.shear.ball import BallContact, BallPose
+from validation.shear.checks import layer_factor, press_force_n
+from validation.shear.gel_block import GelBlock
+
+FRICTION = 0.5
+RADIUS_MM, DEPTH_MM = 4.0, 0.3
+BLOCK = GelBlock(3.0, 0.2, 10.0, 10.0, knots_mm=(1.4, 2.0))
+
+
+@pytest.fixture(scope="module")
+def pressed():
+    """A smooth ball on a small block, then with friction."""
+    ball = BallContact(BLOCK, RADIUS_MM, 0.0, 1.9)
+    touch = ball.to(ball.start(), BallPose(DEPTH_MM), 3)
+    ball.friction = FRICTION
+    return ball, touch
+
+
+@pytest.mark.slow
+def test_a_press_obeys_the_bonded_layer(pressed):
+    ball, touch = pressed
+    # Six elements along the contact's radius; the layer's formula is good to some per cent.
+    assert ball.normal_n(touch) == pytest.approx(
+        press_force_n(BLOCK, RADIUS_MM, DEPTH_MM), rel=0.06
+    )
+    assert layer_factor(0.0, 0.48) == 1.0
+    assert (touch.force_n[:, 2] <= 0).all()
+    inside = touch.force_n[:, 2] < 0
+    sag = RADIUS_MM - np.sqrt(RADIUS_MM**2 - (ball.points_mm**2).sum(axis=1))
+    assert np.allclose(touch.motion_mm[inside, 2], (sag - DEPTH_MM)[inside], atol=1e-4)
+    assert (touch.motion_mm[~inside, 2] <= (sag - DEPTH_MM)[~inside] + 1e-4).all()
+
+
+@pytest.mark.slow
+def test_forces_are_mutual_and_the_quarters_make_a_whole(pressed):
+    ball, touch = pressed
+    matrix = BLOCK.between(ball.index, ball.sides)
+    assert np.allclose(matrix, matrix.T, atol=1e-9 * np.abs(matrix).max())
+    surface = BLOCK.surface(ball.index, ball.sides, touch.force_n)
+    assert np.allclose(surface.at(ball.points_mm), touch.motion_mm, atol=1e-4)
+    # A unit pull on one node off the axes moves its mirror's mirror the same way.
+    force = np.zeros_like(touch.force_n)
+    node = int(np.argmax(ball.points_mm @ [1.0, 0.7]))
+    force[node] = 1.0, 0.0, 0.0
+    moved = BLOCK.surface(ball.index, ball.sides, force)
+    force[node], mirror = 0.0, int(np.argmin(ball.points_mm @ [1.0, 0.7]))
+    force[mirror] = 1.0, 0.0, 0.0
+    back = BLOCK.surface(ball.index, ball.sides, force).motion_mm[::-1, ::-1]
+    assert np.allclose(back[..., 0], moved.motion_mm[..., 0], atol=1e-9)
+    assert np.allclose(back[..., 2], -moved.motion_mm[..., 2], atol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_shear_sticks_in_the_middle_and_obeys_coulomb(pressed):
+    ball, touch = pressed
+    sheared = ball.sheared_to(touch, np.array([1.0, 0.0]), 0.6, 16)
+    assert ball.shear_n(sheared)[0] == pytest.approx(
+        0.6 * FRICTION * ball.normal_n(sheared), rel=0.01
+    )
+    limit = -FRICTION * sheared.force_n[:, 2]
+    assert (np.hypot(*sheared.force_n[:, :2].T) <= limit + 1e-9).all()
+    away = np.hypot(*ball.points_mm.T)
+    sticks, slips = (away[ball.slipping(sheared) == kind] for kind in (1, 2))
+    # Cattaneo–Mindlin of a half-space; on a layer and this mesh to a node's distance.
+    radius = ball.contact_radius_mm(touch)
+    assert sticks.max() == pytest.approx(radius * 0.4 ** (1 / 3), abs=0.2)
+    assert slips.min() > sticks.max() - 0.3
+    slid = ball.sheared_to(touch, np.array([1.0, 0.0]), 1.0, 8)
+    assert not (ball.slipping(slid) == 1).any()
+
+
+@pytest.mark.slow
+def test_a_wide_block_moves_by_the_layers_compliance():
+    block = GelBlock(1.0, 0.25, 12.0, 12.0, knots_mm=(0.5, 1.0))
+    _points, index, sides, _area = block.contact_nodes(0.1)
+    surface = block.surface(index, sides, np.array([[1.0, 0.0, 0.0]]))
+    area = np.outer(np.gradient(surface.x_mm), np.gradient(surface.y_mm))
+    total = float((area * surface.motion_mm[..., 0]).sum())
+    shear = block.young_n_mm2 / (2 * (1 + block.poisson))
+    assert total == pytest.approx(block.thickness_mm / shear, rel=0.03)  # ∫ u dA = F T / G
