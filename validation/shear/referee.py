@@ -17,9 +17,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from tacgen.contact.shear import dilation_mm, marker_pitch_mm
-from tacgen.contact.shear_field import ShearField, ShearState
+from tacgen.contact.shear_field import ShearState
 from tacgen.sensor.description import load_sensor
-from tacgen.sensor.gel_shear import DECAY_PER_GEL_DEPTH
+from tacgen.sensor.gel_shear import DECAY_PER_GEL_DEPTH, GelShear
 from validation.shear.cases import FRICTION, GRID_MM, State, cases, mini_markers_mm, say, solved
 from validation.shear.gel_block import Float64
 
@@ -92,10 +92,8 @@ class Model:
     """tacgen's field over the states of one case, in their order."""
 
     def __init__(self, calibration: Calibration, thickness_mm: float, decay_mm: float) -> None:
-        sensor = load_sensor("gelsight_mini")
-        rows, columns = sensor.shape_px
         self.calibration, self.thickness_mm = calibration, thickness_mm
-        self.field = ShearField(columns * sensor.mm_per_px, rows * sensor.mm_per_px, decay_mm)
+        self.field = GelShear(load_sensor("gelsight_mini")).field(decay_mm)
         self._before: ShearState | None = None
 
     def follows(self, state: State) -> Float64:
@@ -240,7 +238,7 @@ def compared(states: Sequence[State], decay_mm: float | None = None) -> list[Com
 
 def draw(one: Compared, path: Path) -> None:
     """Arrows of the three fields at equal scale, the true patch as a circle."""
-    figure = Figure(figsize=(15, 4.4), layout="constrained")
+    figure = Figure(figsize=(15, 5), layout="constrained")
     titles = ("finite elements", "tacgen's field", "rigid shift that decays")
     scale = 1.2 / max(float(np.hypot(*np.moveaxis(one.truth, -1, 0)).max()), 1e-9)
     errors = (None, one.share(one.model), one.share(one.rigid))
@@ -259,7 +257,7 @@ def draw(one: Compared, path: Path) -> None:
         turn = np.linspace(0, 2 * np.pi, 90)
         radius = one.state.contact_radius_mm
         axes.plot(radius * np.cos(turn), radius * np.sin(turn), color="tab:red", lw=1)
-        axes.set(aspect="equal", xlim=(-9.5, 9.5), ylim=(7.5, -7.5), xlabel="x, mm")
+        axes.set(aspect="equal", xlim=(-9.5, 9.5), ylim=(7.5, -7.5), xlabel="x, mm", ylabel="y, mm")
         if error is not None:
             title += f": RMS {100 * error[0]:.0f} % inside, {100 * error[1]:.0f} % outside"
         axes.set_title(title)
