@@ -1,5 +1,7 @@
 """The finite elements that judge the shear field, against closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,9 @@ pytest.importorskip("skfem")
 
 from validation.shear.ball import BallContact, BallPose
 from validation.shear.checks import layer_factor, press_force_n
+from validation.shear.dilation import fitted, press, proposed
 from validation.shear.gel_block import GelBlock
+from validation.shear.referee import Foundation, rms_shares
 
 FRICTION = 0.5
 RADIUS_MM, DEPTH_MM = 4.0, 0.3
@@ -85,3 +89,33 @@ def test_a_wide_block_moves_by_the_layers_compliance():
     total = float((area * surface.motion_mm[..., 0]).sum())
     shear = block.young_n_mm2 / (2 * (1 + block.poisson))
     assert total == pytest.approx(block.thickness_mm / shear, rel=0.03)  # ∫ u dA = F T / G
+
+
+def test_the_foundation_has_the_volume_asked_for():
+    ball = Foundation(4.0, 6.0)
+    axis = (np.arange(31) - 15) * 0.4
+    nodes = np.stack(np.meshgrid(axis, axis), axis=-1)
+    assert ball.over(nodes, 0.4).sum() * 0.4**2 == pytest.approx(6.0, rel=1e-3)
+    assert ball.at(np.zeros(2)) == pytest.approx(ball.depth_mm)
+
+
+def test_errors_are_shares_of_the_largest_motion_of_each_part():
+    truth, inside = np.zeros((4, 2)), np.array([True, True, False, False])
+    truth[0], truth[2] = (3.0, 4.0), (0.0, 2.0)
+    assert rms_shares(truth, truth, inside) == (0.0, 0.0)
+    assert rms_shares(np.zeros((4, 2)), truth, inside) == pytest.approx((0.5**0.5, 0.5**0.5))
+    assert rms_shares(0 * truth, truth, inside, 2 * truth)[0] == pytest.approx(0.5**1.5)
+
+
+def test_the_dilation_s_constants_are_found_again():
+    axis = np.arange(-7, 7.1, 1.0)
+    points = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    made = []
+    for thickness, volume in ((4.0, 2.0), (2.5, 5.0)):
+        one = press("", thickness, points, points, Foundation(4.0, volume), 2.0)
+        made.append(replace(one, motion_mm=proposed(one, 1.3, 0.25)))
+    assert fitted(made) == pytest.approx((1.3, 0.25), rel=1e-3)
+    # Away from the patch, and nothing at its middle.
+    outward = (made[0].motion_mm * points).sum(axis=1)
+    assert (outward >= -1e-12).all()
+    assert np.allclose(made[0].motion_mm[np.hypot(*points.T) == 0], 0.0, atol=1e-12)

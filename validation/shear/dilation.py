@@ -20,6 +20,7 @@ from scipy.optimize import least_squares, minimize_scalar
 
 from tacgen.contact.shear import dilation_mm
 from tacgen.contact.shear_field import ShearField
+from tacgen.sensor.gel_shear import DECAY_PER_GEL_DEPTH
 from validation.shear.cases import GRID_MM, State, cases, say, solved
 from validation.shear.gel_block import Float64
 from validation.shear.referee import RIGID_DECAY_PER_MM2, Foundation
@@ -211,6 +212,10 @@ def print_fots(folder: Path) -> None:
         "no motion": (lambda _c: 0 * one.motion_mm, ()),
         "today: gain 0.03, λ 0.479": (lambda _c: of_today(one), ()),
         "proposed, gel of 4 mm": (lambda _c: proposed(one), ()),
+        "proposed, the gel's thickness fitted": (
+            lambda c: proposed(replace(one, thickness_mm=c[0])),
+            (2.0,),
+        ),
         "today's form, gain and λ fitted": (lambda c: gaussian(one, c[0], c[1]), (0.1, 0.5)),
         "proposed + a near part, gain and λ fitted": (
             lambda c: proposed(one) + gaussian(one, c[0], c[1]),
@@ -296,11 +301,12 @@ def _print_decays(
         )  # fmt: skip
         return float(np.exp(found.x))
 
+    usual = DECAY_PER_GEL_DEPTH * 4.0
     own_rigid, own_field = best(rigid, 0.001, 2.0), best(field, 0.3, 12.0)
     for name, constant, off in (
         ("rigid shift, as published", RIGID_DECAY_PER_MM2, rigid(RIGID_DECAY_PER_MM2)),
         ("rigid shift, fitted (per mm²)", own_rigid, rigid(own_rigid)),
-        ("field, 0.6 of a gel of 4 mm", 2.4, field(2.4)),
+        ("field, of a gel of 4 mm (mm)", usual, field(usual)),
         ("field, fitted (mm)", own_field, field(own_field)),
     ):
         _line(name, np.array([constant]), off / largest, near, "of the largest")
