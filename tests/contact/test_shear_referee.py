@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("skfem")
 
 from validation.shear.ball import BallContact, BallPose
-from validation.shear.checks import layer_factor, press_force_n
+from validation.shear.checks import layer_press
 from validation.shear.dilation import fitted, press, proposed
 from validation.shear.gel_block import GelBlock
 from validation.shear.referee import Foundation, rms_shares
@@ -30,11 +30,10 @@ def pressed():
 @pytest.mark.slow
 def test_a_press_obeys_the_bonded_layer(pressed):
     ball, touch = pressed
-    # Six elements along the contact's radius; the layer's formula is good to some per cent.
+    # Six elements along the contact's radius.
     assert ball.normal_n(touch) == pytest.approx(
-        press_force_n(BLOCK, RADIUS_MM, DEPTH_MM), rel=0.06
+        layer_press(BLOCK, RADIUS_MM, DEPTH_MM)[0], rel=0.06
     )
-    assert layer_factor(0.0, 0.48) == 1.0
     assert (touch.force_n[:, 2] <= 0).all()
     inside = touch.force_n[:, 2] < 0
     sag = RADIUS_MM - np.sqrt(RADIUS_MM**2 - (ball.points_mm**2).sum(axis=1))
@@ -119,3 +118,14 @@ def test_the_dilation_s_constants_are_found_again():
     outward = (made[0].motion_mm * points).sum(axis=1)
     assert (outward >= -1e-12).all()
     assert np.allclose(made[0].motion_mm[np.hypot(*points.T) == 0], 0.0, atol=1e-12)
+
+
+def test_the_layer_s_press_is_the_half_space_s_and_its_first_correction():
+    # Dimitriadis et al. 2002, Eq. 12: of an incompressible bonded layer, 1 + 1.133 √(Rδ)/h + …
+    thick = GelBlock(5000.0, poisson=0.5)
+    force, contact = layer_press(thick, 400.0, 0.01)
+    hertz = 4 / 3 * thick.young_n_mm2 / 0.75 * np.sqrt(400.0) * 0.01**1.5
+    assert force == pytest.approx(hertz, rel=2e-3)
+    assert contact == pytest.approx(2.0, rel=2e-3)
+    layer = GelBlock(100.0, poisson=0.5)
+    assert layer_press(layer, 400.0, 0.01)[0] / hertz - 1 == pytest.approx(1.133 * 0.02, rel=0.03)
