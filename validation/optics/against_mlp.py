@@ -122,7 +122,10 @@ def mlp(inputs: Floats, changes: Floats, seed: int) -> Guess:
 
 
 def taxim_recipe(inputs: Floats, changes: Floats) -> Guess:
-    """A quadratic in place for each bin of slope and direction; empty bins are the nearest's."""
+    """A quadratic in place for each bin of slope and direction; empty bins are the nearest's.
+
+    NaN everywhere where no bin has the pixels for one: a small set of small images.
+    """
 
     def bins(values: Floats) -> NDArray[np.int64]:
         slope = np.arctan(np.hypot(values[:, 0], values[:, 1])) / (np.pi / 2 / (BINS - 1))
@@ -142,6 +145,8 @@ def taxim_recipe(inputs: Floats, changes: Floats) -> Guess:
             solved = np.linalg.lstsq(features(inputs[part]), changes[part], rcond=None)
             table[index[part[0]]] = solved[0]
     known = np.flatnonzero(np.isfinite(table[:, 0, 0]))
+    if not known.size:
+        return lambda values: np.full((len(values), 3), np.nan)
     missing = np.flatnonzero(~np.isfinite(table[:, 0, 0]))
     grid = np.column_stack(np.divmod(np.arange(BINS * BINS), BINS))
     nearest = griddata(grid[known], known, grid[missing], method="nearest").astype(int)
