@@ -79,6 +79,7 @@ def split(raw: PressImages, seed: int) -> tuple[PressImages, PressImages]:
             center[k], radius[k] = screened.center_px[at[name]], screened.radius_px[at[name]]
     presses = replace(presses, center_px=center, radius_px=radius)
     experiment = experiments_of(presses)
+    presses = replace(presses, experiment=experiment)
     order = np.random.default_rng(seed).permutation(experiment.max() + 1)
     held_out = np.isin(experiment, order[: max(1, round(HELD_OUT * len(order)))])
     train = np.array([at[n] for n in np.array(presses.names)[~held_out] if n in at])
