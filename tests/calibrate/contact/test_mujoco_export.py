@@ -94,6 +94,32 @@ def test_a_plate_on_the_dome_displaces_its_cap(pads):
         assert cap_mm3(30, depth_mm) == pytest.approx(K_N * force_n, rel=0.03)
 
 
+@pytest.mark.slow
+def test_two_pads_squeeze_a_free_ball_by_the_law(pads):
+    finger = (
+        '<body name="{0}" pos="{1}4e-3 0 0"><joint name="{0}" type="slide" axis="{2}1 0 0" '
+        'damping="20"/><inertial pos="0 0 0" mass="0.3" diaginertia="1e-3 1e-3 1e-3"/>'
+        '<site name="{0}" euler="0 {3}90 0"/></body>'
+    )
+    spec = mujoco.MjSpec.from_string(
+        '<mujoco><option gravity="0 0 0"/><worldbody>'
+        + finger.format("left", "-", "", "")
+        + finger.format("right", "", "-", "-")
+        + '<body><freejoint/><geom type="sphere" size="4e-3" mass="0.05"/></body></worldbody>'
+        '<actuator><motor joint="left"/><motor joint="right"/></actuator></mujoco>'
+    )
+    for side in ("left", "right"):
+        body = mujoco.MjSpec.from_file(str(pads / "flat" / "pad.xml")).body("pad")
+        spec.site(side).attach_body(body, f"{side} ", "")
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    for step in range(300):
+        data.ctrl[:] = min(4.0, 0.02 * step)
+        mujoco.mj_step(model, data)
+    depth_mm = 500 * sum(data.joint(side).qpos[0] for side in ("left", "right"))
+    assert cap_mm3(4, depth_mm) == pytest.approx(K_N * 4.0, rel=0.05)
+
+
 def test_the_command_says_what_of_the_law_is_left_out(tmp_path):
     save_law(ContactLaw.linear(3.0, 0.8, 2.0), tmp_path / "contact.yaml")
     arguments = ["calibrate", "export", str(tmp_path / "contact.yaml"), "--format", "mujoco"]
