@@ -89,14 +89,17 @@ def blocks(window: wp.vec4i, level: int) -> wp.vec4i:
 @_native("""
     // The triangles of a cell of a mesh over a grid: lowers gaps to the nearest surface.
     const int n_rows = gap_mm.shape[1], n_columns = gap_mm.shape[2];
-    const double* t = &wp::index(poses, w, 0, 0);
+    const double* t = &wp::index(poses, world, 0, 0);
     const double* s = &wp::index(spheres, cell, 0);
     const double half_row = 0.5 * n_rows - 0.5, half_column = 0.5 * n_columns - 0.5;
     if (fabs((t[0]*s[0] + t[1]*s[1] + t[2]*s[2] + t[3]) * per_px) > half_column + 0.5 + 1.001 * s[3] * per_px) return;
     if (fabs((t[4]*s[0] + t[5]*s[1] + t[6]*s[2] + t[7]) * per_px) > half_row + 0.5 + 1.001 * s[3] * per_px) return;
     const double limit_mm = wp::index(limits_mm, w);
     if (t[8]*s[0] + t[9]*s[1] + t[10]*s[2] - 1.001 * s[3] > limit_mm) return;
-    for (int f = wp::index(first, cell) + lane; f < wp::index(first, cell + 1); f += lanes) {
+    // Some of its faces are enough where a few pixels are.
+    const int f_first = wp::index(first, cell), f_last = wp::index(first, cell + 1);
+    const int step = every > 1 ? wp::clamp((f_last - f_first) / 4, 1, 8) : 1;
+    for (int f = f_first + lane * step; f < f_last; f += lanes * step) {
         double x[3], y[3], z[3];
         for (int i = 0; i < 3; i++) {
             const double* p = &wp::index(vertices, wp::index(faces, f, i), 0);
@@ -154,7 +157,7 @@ def _rasterize(
     vertices: wp.array2d(dtype=wp.float64), faces: wp.array2d(dtype=wp.int32), first: Ints,
     spheres: wp.array2d(dtype=wp.float64), poses: Doubles3, gel_mm: wp.array2d(dtype=wp.float64),
     per_px: wp.float64, limits_mm: Doubles, every: int, gap_mm: Doubles3,
-    w: int, cell: int, lane: int, lanes: int,
+    world: int, w: int, cell: int, lane: int, lanes: int,
 ): ...  # fmt: skip
 
 
@@ -166,6 +169,7 @@ def rasterize(
     spheres: wp.array2d(dtype=wp.float64),
     cells_of_mesh: Ints,
     mesh_ids: Ints,
+    start: int,
     poses: Doubles3,
     gel_mm: wp.array2d(dtype=wp.float64),
     per_px: wp.float64,
@@ -176,12 +180,12 @@ def rasterize(
 ):
     """Gaps (B, h, w) of each world's mesh over a grid, of which only every n-th row is drawn."""
     w, k, lane = wp.tid()
-    mesh = mesh_ids[w]
+    mesh = mesh_ids[start + w]
     cell = cells_of_mesh[mesh] + k
     if cell < cells_of_mesh[mesh + 1]:
         _rasterize(
             vertices, faces, first, spheres, poses, gel_mm, per_px, limits_mm, every, gap_mm,
-            w, cell, lane, lanes,
+            start + w, w, cell, lane, lanes,
         )  # fmt: skip
 
 
@@ -314,7 +318,7 @@ def to_grains(
         }
         const double found = (volume / stride + total + total_beside * weight / stride) / pixels;
         const bool is_deepest = found >= deepest && delta >= deepest;
-        if (stride == 8 && (is_deepest || fabs(found - delta) < 1e-3 * delta)) {
+        if (stride == 8 && (is_deepest || fabs(found - delta) <= 1e-3 * fabs(delta))) {
             stride = 1;
             continue;
         }
@@ -367,13 +371,13 @@ def solve(
 
 @wp.kernel
 def check_poses(
-    poses: wp.array3d(dtype=Any), start: int, tolerance: wp.float64, wrong: Ints, out: Doubles3
+    poses: wp.array3d(dtype=Any), tolerance: wp.float64, wrong: Ints, out: Doubles3
 ):
-    """Poses (B, 4, 4) in double precision; ``wrong`` is a world whose pose is no rigid motion."""
+    """Poses (N, 4, 4) in double precision; ``wrong`` is a world whose pose is no rigid motion."""
     w = wp.tid()
     for i in range(4):
         for j in range(4):
-            out[w, i, j] = wp.float64(poses[start + w, i, j])
+            out[w, i, j] = wp.float64(poses[w, i, j])
     is_right = bool(True)
     for i in range(3):
         is_right = is_right and wp.abs(out[w, i, 3]) < wp.float64(1.0e300)
@@ -394,17 +398,17 @@ def check_poses(
     minor_z = out[w, 1, 0] * out[w, 2, 1] - out[w, 1, 1] * out[w, 2, 0]
     turn = out[w, 0, 0] * minor_x - out[w, 0, 1] * minor_y + out[w, 0, 2] * minor_z
     if not (is_right and turn > wp.float64(0.0)):
-        wp.atomic_min(wrong, POSE, start + w)
+        wp.atomic_min(wrong, POSE, w)
 
 
 @wp.kernel
-def check_ids(ids: wp.array(dtype=Any), start: int, n_meshes: int, wrong: Ints, out: Ints):
+def check_ids(ids: wp.array(dtype=Any), n_meshes: int, wrong: Ints, out: Ints):
     """Indices of meshes; ``wrong`` is a world for which there is none."""
     w = wp.tid()
-    mesh = int(ids[start + w])
+    mesh = int(ids[w])
     out[w] = mesh
     if mesh < 0 or mesh >= n_meshes:
-        wp.atomic_min(wrong, MESH, start + w)
+        wp.atomic_min(wrong, MESH, w)
         out[w] = 0
 
 
@@ -1215,16 +1219,19 @@ def sweep(
             for (int i = 3 * lit_from; i < 3 * lit_to; i++) grey[i] = lit[3 * c0 + i];
             for (int led = 0; led < n_leds; led++) {
                 const float* dark = &wp::index(hidden, w, led, 0);
-                const bool is_turned = wp::index(turned, led) > 0;
-                for (int i = from; i < to; i++) {
-                    const int c = c0 + i;
-                    const float part = is_turned ? dark[c * height + r] : dark[r * width + c];
-                    if (part > 0.0f)
-                        for (int j = 0; j < 3; j++) {
-                            const float light = grey[3 * i + j] - wp::index(unlit, r, c, j);
-                            grey[3 * i + j] -= wp::index(share, led, j) * part * (light > 0.0f ? light : 0.0f);
-                        }
-                }
+                const float* unlit_here = &wp::index(unlit, r, c0, 0);
+                const float* shares = &wp::index(share, led, 0);
+                float part[TILE], darkest = 0.0f;
+                if (wp::index(turned, led) > 0)
+                    for (int i = from; i < to; i++) part[i] = dark[(c0 + i) * height + r];
+                else
+                    for (int i = from; i < to; i++) part[i] = dark[r * width + c0 + i];
+                for (int i = from; i < to; i++) darkest = part[i] > darkest ? part[i] : darkest;
+                for (int i = from; i < to && darkest > 0.0f; i++)
+                    for (int j = 0; j < 3; j++) {
+                        const float light = grey[3 * i + j] - unlit_here[3 * i + j];
+                        grey[3 * i + j] -= shares[j] * part[i] * (light > 0.0f ? light : 0.0f);
+                    }
             }
         }
         if (sigma > 0.0f)

@@ -38,7 +38,7 @@ from tacgen.optics.table import LookupTable
 
 CPU_LANES, CUDA_LANES = 1, 64  # threads on a row
 CUDA_BLOCK = 256  # threads on a world, of kernels that go through all of it
-CUDA_PART, CPU_PART = 256, 1  # worlds that are worked on at a time: their maps stay in the cache
+CUDA_PART, CPU_PART = 256, 4  # worlds that are worked on at a time: their maps stay in the cache
 FLATTEST_SLOPE = 1e-3
 
 WRONG = (
@@ -262,16 +262,20 @@ class BatchRenderer:
         self._beside = zeros((b, surround.outside.size), wp.int32, NO_OBJECT)
         self._outside = self._put(surround.outside, wp.bool)
         self._gel_beside_mm = self._put(surround.gel_mm, wp.float64)
-        self._ids, self._limits_mm = zeros(b, wp.int32), zeros(b, wp.float64)
-        self._poses = zeros((b, 4, 4), wp.float64)
+        self._ids, self._limits_mm = zeros(self.n, wp.int32), zeros(b, wp.float64)
+        self._poses = zeros((self.n, 4, 4), wp.float64)
 
-    def indent_meshes(self, ids: wp.array, poses: wp.array, start: int, *, is_depth: bool) -> None:
-        """Gap maps, δ and indentation of posed meshes, with what touches beside the window."""
+    def pose_meshes(self, ids: wp.array, poses: wp.array) -> None:
+        """What ``indent_meshes`` then draws: the mesh of each world and where it is."""
         if not self._mesh_arrays:
             self._prepare_meshes()
-        self._worlds(k.check_ids, ids, start, len(self._meshes), self._wrong, self._ids)
-        tolerance = wp.float64(ROTATION_TOLERANCE)
-        self._worlds(k.check_poses, poses, start, tolerance, self._wrong, self._poses)
+        inputs = ids, len(self._meshes), self._wrong, self._ids
+        wp.launch(k.check_ids, dim=self.n, inputs=inputs, device=self.device)
+        inputs = poses, wp.float64(ROTATION_TOLERANCE), self._wrong, self._poses
+        wp.launch(k.check_poses, dim=self.n, inputs=inputs, device=self.device)
+
+    def indent_meshes(self, start: int, *, is_depth: bool) -> None:
+        """Gap maps, δ and indentation of posed meshes, with what touches beside the window."""
         zero, reach_mm = self._zero_mm, self._sensor.gel_depth_mm
         self._limits_mm.fill_(math.inf)
         for every in (FIRST_ROWS, 1):
@@ -293,8 +297,8 @@ class BatchRenderer:
         wp.launch(
             k.rasterize,
             dim=(self._count, self._most_cells, lanes),
-            inputs=[vertices, faces, first, spheres, cells, self._ids, self._poses, gel_mm]
-            + [1.0 / mm_per_px, self._limits_mm, every, lanes, gap_mm],
+            inputs=[vertices, faces, first, spheres, cells, self._ids, self._start]
+            + [self._poses, gel_mm, 1.0 / mm_per_px, self._limits_mm, every, lanes, gap_mm],
             device=self.device,
         )
 

@@ -203,8 +203,9 @@ class BatchSensor:
         ids = arrays.as_warp(mesh_ids, "mesh_ids", (n,), self._device, integers)
         pose = arrays.as_warp(poses, "poses", (n, 4, 4), self._device, numbers)
         is_depth = self._ask(force_n, time_s)
+        self._renderer.pose_meshes(ids, pose)
         for start in self._renderer.parts():
-            self._renderer.indent_meshes(ids, pose, start, is_depth=is_depth)
+            self._renderer.indent_meshes(start, is_depth=is_depth)
             self._renderer.draw(self._noise_seed())
         return self._frame(kind)
 
