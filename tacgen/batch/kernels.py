@@ -2,14 +2,16 @@
 
 A thread works on one row of one world: on the CPU on all of it, where the compiler makes vectors of
 its inner loops, on a GPU on every n-th pixel, where neighbouring threads read neighbouring pixels.
-Loops over pixels are written in C++, since Warp's own loops over arrays do not become vectors: a
-Gaussian along columns takes 2.7 ms a frame so, and 0.09 ms like this. What they compute is that of
-the renderer for single frames: ``contact/raster.py``, ``contact/indentation.py``,
+Loops over pixels are in C++, since Warp's own loops over arrays do not become vectors: a Gaussian
+along columns takes 2.7 ms a frame so, and 0.09 ms like this. What they compute is that of the
+renderer for single frames: ``contact/raster.py``, ``contact/indentation.py``,
 ``optics/smooth.py``, ``optics/deform.py``, ``optics/shade.py``, ``optics/effects/shadow.py``.
 
-A kernel's first index counts the worlds of one part of the batch, which begins at ``start``.
+Windows are (top, bottom, left, right). A kernel's first index counts the B worlds of one part of
+the batch, which begins at world ``start``.
 """
 
+# ruff: noqa: N801
 from typing import Any
 
 import warp as wp
@@ -18,11 +20,10 @@ from tacgen.contact.gap import NO_OBJECT
 
 wp.set_module_options({"enable_backward": False})
 
-GAP, FORCE, POSE, MESH, N_WRONG = (wp.constant(k) for k in range(5))
-"""Places in ``wrong``, which the host reads when all is drawn."""
-
-PATCH_NONE = (1 << 30, 0, 1 << 30, 0)
-"""A patch (top, bottom, left, right) of no pixel, as it is before any is found."""
+MAP, FORCE, POSE, MESH = (wp.constant(i) for i in range(4))
+"""Places in ``wrong``: the first world of which that is wrong."""
+HALVE, ALONG, DOWN, DOUBLE = (wp.constant(i) for i in range(4))
+"""What ``resample`` does."""
 
 _PRELUDE = """
 #if defined(__CUDA_ARCH__)
@@ -33,31 +34,65 @@ _PRELUDE = """
     constexpr int TILE = 64;
 #endif
     (void)TILE;
-    // Runs a statement for the pixels c of [first, last) that are this thread's.
+    // For the pixels c of [first, last) that are this thread's.
     #define TACGEN_ALONG(first, last) \\
         for (int c = (first) + lane; c < (last); c += TILE == 1 ? lanes : 1)
     // The same in pieces of up to TILE pixels, of which c0 is the first and n the number.
     #define TACGEN_TILES(first, last) \\
         for (int c0 = (first) + lane * TILE, n; \\
              n = wp::min(TILE, (last) - c0), c0 < (last); c0 += lanes * TILE)
+    // Grows the window of a world by pixels [left, right) of row r.
+    #define TACGEN_GROW(windows) { \\
+        auto& grown = wp::index(windows, w); \\
+        wp::atomic_min(&grown[0], r), wp::atomic_max(&grown[1], r + 1); \\
+        wp::atomic_min(&grown[2], left), wp::atomic_max(&grown[3], right); }
 """
 
 
 def _native(body: str) -> Any:
-    """A function of C++ on pixels ``lane``, ``lane`` + ``lanes``, … of a row."""
+    """A function of C++ for a thread ``lane`` of ``lanes``."""
     return wp.func_native(_PRELUDE + body)
 
 
-Map2, Map3, Map4 = (wp.array(dtype=wp.float32, ndim=n) for n in (2, 3, 4))
-Doubles3 = wp.array3d(dtype=wp.float64)
-Ints3 = wp.array3d(dtype=wp.int32)
-Floats = wp.array(dtype=wp.float32)
-Doubles = wp.array(dtype=wp.float64)
-Ints = wp.array(dtype=wp.int32)
+Floats, Map2, Map3, Map4 = (wp.array(dtype=wp.float32, ndim=n) for n in (1, 2, 3, 4))
+Doubles, Doubles2, Doubles3 = (wp.array(dtype=wp.float64, ndim=n) for n in (1, 2, 3))
+Ints, Ints2, Ints3 = (wp.array(dtype=wp.int32, ndim=n) for n in (1, 2, 3))
 Windows = wp.array(dtype=wp.vec4i)
 
 
-# Windows of pixels: (top, bottom, left, right) ---------------------------------------------------
+@wp.struct
+class Worlds:
+    """What is known of the worlds: results (N, …), and the maps (B, H, W) of those at work."""
+
+    lanes: int
+    start: int
+    mm_per_px: wp.float32
+    grain_mm: wp.float64
+    wrong: Ints
+    asked: Doubles  # volume in pixels × grains, or δ in grains, (N,)
+    rgb: wp.array4d(dtype=wp.uint8)
+    depth_mm: Map3
+    contact_mask: wp.array3d(dtype=wp.bool)
+    indentation_mm: Floats
+    saturated: wp.array(dtype=wp.bool)
+    zero_mm: Doubles  # gap of first touch
+    grains: Ints3  # gaps beyond it
+    delta: Doubles  # in grains, as is the largest there can be
+    deepest: Doubles
+    patches: Windows  # where the gel is indented
+    deepest_mm: Floats
+    surface: Map3  # how far it lies below rest
+    height_mm: Map3
+    changed: Windows  # where that is not at rest
+    spans: Ints3  # and in which columns of each row
+    relief_mm: Floats  # how deep it is there
+    image: Map4
+    rest_mm: Map2
+    lit_at_rest: Map3
+    image_at_rest: Map3
+    rgb_at_rest: wp.array3d(dtype=wp.uint8)
+    noise_grey: wp.float32
+    quantiles: Floats
 
 
 @wp.func
@@ -83,67 +118,142 @@ def blocks(window: wp.vec4i, level: int) -> wp.vec4i:
     return out
 
 
+# What is given -----------------------------------------------------------------------------------
+
+
+@wp.kernel
+def check_force(force_n: wp.array(dtype=Any), factor: wp.float64, p: Worlds):
+    """What the law asks of each gel, by its force."""
+    w = wp.tid()
+    force = wp.float64(force_n[w])
+    p.asked[w] = force * factor
+    if not (force >= wp.float64(0.0) and force < wp.float64(1.0e300)):
+        wp.atomic_min(p.wrong, FORCE, w)
+        p.asked[w] = wp.float64(0.0)
+
+
+@wp.kernel
+def check_ids(ids: wp.array(dtype=Any), n_meshes: int, wrong: Ints, out: Ints):
+    """Indices of meshes."""
+    w = wp.tid()
+    out[w] = int(ids[w])
+    if out[w] < 0 or out[w] >= n_meshes:
+        wp.atomic_min(wrong, MESH, w)
+        out[w] = 0
+
+
+@wp.kernel
+def check_poses(poses: wp.array3d(dtype=Any), tolerance: wp.float64, wrong: Ints, out: Doubles3):
+    """Poses in double precision, which are to be rigid motions."""
+    w = wp.tid()
+    m = wp.mat44d()
+    for i in range(4):
+        for j in range(4):
+            m[i, j] = wp.float64(poses[w, i, j])
+            out[w, i, j] = m[i, j]
+    turn = wp.mat33d(m[0, 0], m[0, 1], m[0, 2], m[1, 0], m[1, 1], m[1, 2], m[2, 0], m[2, 1], m[2, 2])
+    off = wp.transpose(turn) * turn - wp.identity(3, dtype=wp.float64)
+    worst = wp.abs(m[3, 3] - wp.float64(1.0))
+    is_finite = bool(True)
+    for i in range(3):
+        worst = wp.max(worst, wp.abs(m[3, i]))
+        is_finite = is_finite and wp.isfinite(m[i, 3])
+        for j in range(3):
+            worst = wp.max(worst, wp.abs(off[i, j]))
+            is_finite = is_finite and wp.isfinite(m[i, j])
+    if not (is_finite and worst <= tolerance and wp.determinant(turn) > wp.float64(0.0)):
+        wp.atomic_min(wrong, POSE, w)
+
+
 # Gap maps of meshes ------------------------------------------------------------------------------
 
 
+@wp.struct
+class Meshes:
+    """All meshes, each cut into cells, and which of them is where in the worlds."""
+
+    vertices_mm: Doubles2
+    faces: Ints2
+    first: Ints  # face of each cell
+    spheres_mm: Doubles2
+    cells: Ints  # the first of each mesh
+    ids: Ints
+    poses: Doubles3
+
+
+@wp.struct
+class Grid:
+    """Points of the gel that gaps are taken at, every n-th row of them."""
+
+    gel_mm: Doubles2
+    gap_mm: Doubles3
+    per_px: wp.float64
+    limits_mm: Doubles
+    every: int
+    lanes: int
+
+
 @_native("""
-    // The triangles of a cell of a mesh over a grid: lowers gaps to the nearest surface.
-    const int n_rows = gap_mm.shape[1], n_columns = gap_mm.shape[2];
-    const double* t = &wp::index(poses, world, 0, 0);
-    const double* s = &wp::index(spheres, cell, 0);
+    // The triangles of a cell of a mesh: lowers gaps to the nearest surface.
+    const int n_rows = g.gap_mm.shape[1], n_columns = g.gap_mm.shape[2], lanes = g.lanes;
+    const double* t = &wp::index(m.poses, world, 0, 0);
+    const double* s = &wp::index(m.spheres_mm, cell, 0);
     const double half_row = 0.5 * n_rows - 0.5, half_column = 0.5 * n_columns - 0.5;
-    if (fabs((t[0]*s[0] + t[1]*s[1] + t[2]*s[2] + t[3]) * per_px) > half_column + 0.5 + 1.001 * s[3] * per_px) return;
-    if (fabs((t[4]*s[0] + t[5]*s[1] + t[6]*s[2] + t[7]) * per_px) > half_row + 0.5 + 1.001 * s[3] * per_px) return;
-    const double limit_mm = wp::index(limits_mm, w);
-    if (t[8]*s[0] + t[9]*s[1] + t[10]*s[2] - 1.001 * s[3] > limit_mm) return;
+    const double per_px = g.per_px, radius = 1.001 * s[3];
+    #define TACGEN_AXIS(i, p) (t[4*i] * p[0] + t[4*i + 1] * p[1] + t[4*i + 2] * p[2])
+    if (fabs((TACGEN_AXIS(0, s) + t[3]) * per_px) > half_column + 0.5 + radius * per_px) return;
+    if (fabs((TACGEN_AXIS(1, s) + t[7]) * per_px) > half_row + 0.5 + radius * per_px) return;
+    const double limit_mm = wp::index(g.limits_mm, w);
+    if (TACGEN_AXIS(2, s) - radius > limit_mm) return;
     // Some of its faces are enough where a few pixels are.
-    const int f_first = wp::index(first, cell), f_last = wp::index(first, cell + 1);
-    const int step = every > 1 ? wp::clamp((f_last - f_first) / 4, 1, 8) : 1;
+    const int f_first = wp::index(m.first, cell), f_last = wp::index(m.first, cell + 1);
+    const int step = g.every > 1 ? wp::clamp((f_last - f_first) / 4, 1, 8) : 1;
     for (int f = f_first + lane * step; f < f_last; f += lanes * step) {
         double x[3], y[3], z[3];
         for (int i = 0; i < 3; i++) {
-            const double* p = &wp::index(vertices, wp::index(faces, f, i), 0);
-            x[i] = (t[0]*p[0] + t[1]*p[1] + t[2]*p[2] + t[3]) * per_px + half_column;
-            y[i] = (t[4]*p[0] + t[5]*p[1] + t[6]*p[2] + t[7]) * per_px + half_row;
-            z[i] = t[8]*p[0] + t[9]*p[1] + t[10]*p[2];
+            const double* p = &wp::index(m.vertices_mm, wp::index(m.faces, f, i), 0);
+            x[i] = (TACGEN_AXIS(0, p) + t[3]) * per_px + half_column;
+            y[i] = (TACGEN_AXIS(1, p) + t[7]) * per_px + half_row;
+            z[i] = TACGEN_AXIS(2, p);
         }
-        const double z_low = wp::min(z[0], wp::min(z[1], z[2])), z_high = wp::max(z[0], wp::max(z[1], z[2]));
-        if (z_low > limit_mm) continue;
-        const double y_low = wp::min(y[0], wp::min(y[1], y[2])), y_high = wp::max(y[0], wp::max(y[1], y[2]));
-        const double x_low = wp::min(x[0], wp::min(x[1], x[2])), x_high = wp::max(x[0], wp::max(x[1], x[2]));
-        int r_first = (int)ceil(wp::max(0.0, y_low));
-        const int r_last = (int)floor(wp::min(n_rows - 1.0, y_high));
-        r_first = (r_first + every - 1) / every * every;
-        if (r_first > r_last || x_high < 0 || x_low > n_columns - 1.0) continue;
+        #define TACGEN_LEAST(v) wp::min(v[0], wp::min(v[1], v[2]))
+        #define TACGEN_MOST(v) wp::max(v[0], wp::max(v[1], v[2]))
+        const double z_low = TACGEN_LEAST(z), z_high = TACGEN_MOST(z);
+        const double x_low = TACGEN_LEAST(x), x_high = TACGEN_MOST(x);
+        const int r_start = (int)ceil(wp::max(0.0, TACGEN_LEAST(y)));
+        const int r_first = (r_start + g.every - 1) / g.every * g.every;
+        const int r_last = (int)floor(wp::min(n_rows - 1.0, TACGEN_MOST(y)));
+        if (z_low > limit_mm || r_first > r_last || x_high < 0 || x_low > n_columns - 1.0) continue;
         // The gel is highest at its middle, and so under a triangle where that is nearest.
-        const int r_near = wp::min(wp::max(n_rows / 2, r_first), r_last);
-        const double middle = n_columns / 2;
-        const int c_near = (int)wp::min(wp::max(wp::min(wp::max(middle, x_low), x_high), 0.0), n_columns - 1.0);
-        if (z_low - wp::index(gel_mm, r_near, c_near) > limit_mm) continue;
-        const double area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]);
+        const int r_near = wp::clamp(n_rows / 2, r_first, r_last);
+        const double near = wp::clamp(n_columns / 2.0, x_low, x_high);
+        const int c_near = (int)wp::clamp(near, 0.0, n_columns - 1.0);
+        if (z_low - wp::index(g.gel_mm, r_near, c_near) > limit_mm) continue;
+        const double xb = x[1] - x[0], yb = y[1] - y[0], zb = z[1] - z[0];
+        const double xc = x[2] - x[0], yc = y[2] - y[0], zc = z[2] - z[0];
+        const double area = xb * yc - xc * yb;
         if (area == 0.0) continue;
-        const double slope_x = ((z[1] - z[0]) * (y[2] - y[0]) - (z[2] - z[0]) * (y[1] - y[0])) / area;
-        const double slope_y = ((z[2] - z[0]) * (x[1] - x[0]) - (z[1] - z[0]) * (x[2] - x[0])) / area;
+        const double slope_x = (zb * yc - zc * yb) / area, slope_y = (zc * xb - zb * xc) / area;
         const double z_origin = z[0] - x[0] * slope_x - y[0] * slope_y;
-        // By row, then column: both triangles of an edge compute its crossings from the same numbers.
+        // By row, then column: both triangles of an edge find its crossings by the same numbers.
         int a = 0, b = 1, k = 2, swap;
-        #define TACGEN_AFTER(i, j) (y[j] < y[i] || (y[j] == y[i] && x[j] < x[i]))
-        if (TACGEN_AFTER(a, b)) { swap = a; a = b; b = swap; }
-        if (TACGEN_AFTER(b, k)) { swap = b; b = k; k = swap; }
-        if (TACGEN_AFTER(a, b)) { swap = a; a = b; b = swap; }
+        #define TACGEN_SORT(i, j) \\
+            if (y[j] < y[i] || (y[j] == y[i] && x[j] < x[i])) { swap = i; i = j; j = swap; }
+        TACGEN_SORT(a, b) TACGEN_SORT(b, k) TACGEN_SORT(a, b)
         const double long_slope = (x[k] - x[a]) / (y[k] - y[a]);
         const double low_slope = y[b] > y[a] ? (x[b] - x[a]) / (y[b] - y[a]) : 0.0;
         const double high_slope = y[k] > y[b] ? (x[k] - x[b]) / (y[k] - y[b]) : 0.0;
-        for (int r = r_first; r <= r_last; r += every) {
+        for (int r = r_first; r <= r_last; r += g.every) {
             const double x_long = x[a] + (r - y[a]) * long_slope;
-            const double x_short = r < y[b] ? x[a] + (r - y[a]) * low_slope : x[b] + (r - y[b]) * high_slope;
+            const double x_short =
+                r < y[b] ? x[a] + (r - y[a]) * low_slope : x[b] + (r - y[b]) * high_slope;
             const int start = (int)wp::max(0.0, ceil(wp::min(x_long, x_short)));
             const int stop = (int)wp::min(n_columns - 1.0, floor(wp::max(x_long, x_short))) + 1;
             const double z_row = z_origin + r * slope_y;
-            double* out = &wp::index(gap_mm, w, r, 0);
-            const double* gel = &wp::index(gel_mm, r, 0);
+            double* out = &wp::index(g.gap_mm, w, r, 0);
+            const double* gel = &wp::index(g.gel_mm, r, 0);
             for (int c = start; c < stop; c++) {
-                const double gap = wp::min(wp::max(z_row + c * slope_x, z_low), z_high) - gel[c];
+                const double gap = wp::clamp(z_row + c * slope_x, z_low, z_high) - gel[c];
     #if defined(__CUDA_ARCH__)
                 wp::atomic_min(&out[c], gap);
     #else
@@ -153,73 +263,16 @@ def blocks(window: wp.vec4i, level: int) -> wp.vec4i:
         }
     }
 """)
-def _rasterize(
-    vertices: wp.array2d(dtype=wp.float64), faces: wp.array2d(dtype=wp.int32), first: Ints,
-    spheres: wp.array2d(dtype=wp.float64), poses: Doubles3, gel_mm: wp.array2d(dtype=wp.float64),
-    per_px: wp.float64, limits_mm: Doubles, every: int, gap_mm: Doubles3,
-    world: int, w: int, cell: int, lane: int, lanes: int,
-): ...  # fmt: skip
+def _rasterize(m: Meshes, g: Grid, world: int, w: int, cell: int, lane: int): ...
 
 
 @wp.kernel
-def rasterize(
-    vertices: wp.array2d(dtype=wp.float64),
-    faces: wp.array2d(dtype=wp.int32),
-    first: Ints,
-    spheres: wp.array2d(dtype=wp.float64),
-    cells_of_mesh: Ints,
-    mesh_ids: Ints,
-    start: int,
-    poses: Doubles3,
-    gel_mm: wp.array2d(dtype=wp.float64),
-    per_px: wp.float64,
-    limits_mm: Doubles,
-    every: int,
-    lanes: int,
-    gap_mm: Doubles3,
-):
-    """Gaps (B, h, w) of each world's mesh over a grid, of which only every n-th row is drawn."""
+def rasterize(m: Meshes, g: Grid, start: int):
+    """Gaps of each world's mesh over a grid."""
     w, k, lane = wp.tid()
-    mesh = mesh_ids[start + w]
-    cell = cells_of_mesh[mesh] + k
-    if cell < cells_of_mesh[mesh + 1]:
-        _rasterize(
-            vertices, faces, first, spheres, poses, gel_mm, per_px, limits_mm, every, gap_mm,
-            start + w, w, cell, lane, lanes,
-        )  # fmt: skip
-
-
-@_native("""
-    // The smallest of every n-th row of a map, +inf if there is none, and whether one is NaN.
-    const int height = map.shape[1], width = map.shape[2];
-    double least = INFINITY;
-    int n_nan = 0;
-    for (int r = 0; r < height; r += every) {
-        const auto* row = &wp::index(map, world, r, 0);
-        auto low = row[0];
-        low = INFINITY;
-        TACGEN_ALONG(0, width) {
-            low = row[c] < low ? row[c] : low;
-            n_nan += row[c] != row[c];
-        }
-        least = low < least ? (double)low : least;
-    }
-    if (n_nan) wp::atomic_min(&wp::index(wrong, 0), world);
-    wp::atomic_min(&wp::index(zero_mm, w), least);
-""")
-def _smallest(
-    map: wp.array3d(dtype=Any), every: int, zero_mm: Doubles, wrong: Ints,
-    world: int, w: int, lane: int, lanes: int,
-): ...  # fmt: skip
-
-
-@wp.kernel
-def first_touch(
-    gap_mm: wp.array3d(dtype=Any), start: int, every: int, zero_mm: Doubles, wrong: Ints, lanes: int
-):
-    """The smallest gap of each world, of every n-th row; ``wrong`` is a world with a NaN."""
-    w, lane = wp.tid()
-    _smallest(gap_mm, every, zero_mm, wrong, start + w, w, lane, lanes)
+    mesh = m.ids[start + w]
+    if m.cells[mesh] + k < m.cells[mesh + 1]:
+        _rasterize(m, g, start + w, w, m.cells[mesh] + k, lane)
 
 
 @wp.kernel
@@ -229,68 +282,106 @@ def limit(zero_mm: Doubles, reach_mm: wp.float64, limits_mm: Doubles):
     limits_mm[w] = zero_mm[w] + reach_mm
 
 
+@wp.kernel
+def gather_beside(
+    g: Grid, outside: wp.array2d(dtype=wp.bool), zero_mm: Doubles, per_mm: wp.float64, beside: Ints2
+):
+    """Gaps of the gel around the window, in grains beyond first touch in it, or around it."""
+    w = wp.tid()
+    infinite = wp.float64(wp.inf)
+    zero = wp.float64(zero_mm[w])
+    n_columns = g.gap_mm.shape[2]
+    if zero == infinite:
+        for r in range(g.gap_mm.shape[1]):
+            for c in range(n_columns):
+                if outside[r, c]:
+                    zero = wp.min(zero, g.gap_mm[w, r, c])
+    for r in range(g.gap_mm.shape[1]):
+        for c in range(n_columns):
+            grains = wp.int32(NO_OBJECT)
+            if outside[r, c] and g.gap_mm[w, r, c] < g.limits_mm[w]:
+                gap = (g.gap_mm[w, r, c] - zero) * per_mm + wp.float64(0.5)
+                grains = wp.int32(wp.clamp(gap, wp.float64(-NO_OBJECT), wp.float64(NO_OBJECT)))
+            beside[w, r * n_columns + c] = grains
+            g.gap_mm[w, r, c] = infinite
+
+
+# From gaps to the indentation --------------------------------------------------------------------
+
+
 @_native("""
-    // Gaps beyond first touch in whole grains.
-    const int width = map.shape[2];
+    double least = INFINITY;
+    int n_nan = 0;
+    for (int r = 0; r < map.shape[1]; r += every) {
+        const auto* row = &wp::index(map, world, r, 0);
+        auto low = row[0];
+        low = INFINITY;
+        TACGEN_ALONG(0, map.shape[2]) {
+            low = row[c] < low ? row[c] : low;
+            n_nan += row[c] != row[c];
+        }
+        least = low < least ? (double)low : least;
+    }
+    if (n_nan) wp::atomic_min(&wp::index(p.wrong, 0), world);
+    wp::atomic_min(&wp::index(p.zero_mm, w), least);
+""")
+def _first_touch(
+    map: wp.array3d(dtype=Any), p: Worlds, every: int, world: int, w: int, lane: int, lanes: int
+): ...
+
+
+@wp.kernel
+def first_touch(gap_mm: wp.array3d(dtype=Any), start: int, every: int, lanes: int, p: Worlds):
+    """The smallest gap of each world, of every n-th row; +inf if there is none."""
+    w, lane = wp.tid()
+    _first_touch(gap_mm, p, every, start + w, w, lane, lanes)
+
+
+@_native("""
+    const int lanes = p.lanes;
     auto* row = &wp::index(map, world, r, 0);
-    int* out = &wp::index(grains, w, r, 0);
-    auto zero = row[0];
-    zero = zero_mm;
-    auto none = zero;
-    none = 1 << 30;
-    auto scale = zero;
-    scale = per_mm;
-    TACGEN_ALONG(0, width) {
+    int* out = &wp::index(p.grains, w, r, 0);
+    auto zero = row[0], scale = zero, none = zero;
+    zero = wp::index(p.zero_mm, w), scale = 1.0 / p.grain_mm, none = 1 << 30;
+    TACGEN_ALONG(0, map.shape[2]) {
         auto gap = (row[c] - zero) * scale;
         gap = gap < none ? gap : none;
-        out[c] = (int)(gap + (gap < 0 ? -0.5f : 0.5f));
+        out[c] = (int)(gap + 0.5f);
         if (clears) row[c] = INFINITY;
     }
 """)
 def _to_grains(
-    map: wp.array3d(dtype=Any), zero_mm: wp.float64, per_mm: wp.float64, clears: bool, grains: Ints3,
-    world: int, w: int, r: int, lane: int, lanes: int,
-): ...  # fmt: skip
+    map: wp.array3d(dtype=Any), p: Worlds, clears: bool, world: int, w: int, r: int, lane: int
+): ...
 
 
 @wp.kernel
-def to_grains(
-    gap_mm: wp.array3d(dtype=Any),
-    start: int,
-    zero_mm: Doubles,
-    per_mm: wp.float64,
-    clears: bool,
-    grains: Ints3,
-    lanes: int,
-):
+def to_grains(gap_mm: wp.array3d(dtype=Any), start: int, clears: bool, p: Worlds):
     """Gaps of each world beyond first touch, in whole grains; ``clears`` makes the map new again."""
     w, r, lane = wp.tid()
-    _to_grains(gap_mm, zero_mm[w], per_mm, clears, grains, start + w, w, r, lane, lanes)
+    _to_grains(gap_mm, p, clears, start + w, w, r, lane)
 
 
 @_native("""
     // V(delta) = volume by Newton from the right: no step can miss, and the last is exact.
-    const int height = grains.shape[1], width = grains.shape[2], n_beside = beside.shape[1];
+    const int n_beside = beside.shape[1];
     const int* around = n_beside ? &wp::index(beside, w, 0) : nullptr;
-    double delta = deepest;
+    double delta = volume > 0.0 ? deepest : 0.0;
     int stride = 8;  // a look at every eighth row begins it near the end
     bool is_found = volume <= 0.0;
-    if (is_found) delta = 0.0;
     for (int step = 0; step < 2000 && !is_found; step++) {
-        const double highest = ceil(delta) < deepest + 1.0 ? ceil(delta) : deepest + 1.0;
-        const int limit = (int)highest;
+        const int limit = (int)wp::min(ceil(delta), deepest + 1.0);
         long long count = 0, total = 0, count_beside = 0, total_beside = 0;
-        for (int r = 0; r < height; r += stride) {
-            const int* row = &wp::index(grains, w, r, 0);
+        for (int r = 0; r < p.grains.shape[1]; r += stride) {
+            const int* row = &wp::index(p.grains, w, r, 0);
             int in_row = 0;
             long long sum = 0;
-            TACGEN_ALONG(0, width) {
+            TACGEN_ALONG(0, p.grains.shape[2]) {
                 const bool below = row[c] < limit;
                 in_row += below ? 1 : 0;
                 sum += below ? row[c] : 0;
             }
-            count += in_row;
-            total += sum;
+            count += in_row, total += sum;
         }
         TACGEN_ALONG(0, n_beside) {
             const bool below = around[c] < limit;
@@ -299,371 +390,235 @@ def to_grains(
         }
     #if defined(__CUDA_ARCH__)
         __shared__ unsigned long long sums[4];
-        TACGEN_SYNC;
+        __syncthreads();
         if (lane < 4) sums[lane] = 0;
-        TACGEN_SYNC;
+        __syncthreads();
         atomicAdd(&sums[0], (unsigned long long)count);
         atomicAdd(&sums[1], (unsigned long long)total);
         atomicAdd(&sums[2], (unsigned long long)count_beside);
         atomicAdd(&sums[3], (unsigned long long)total_beside);
-        TACGEN_SYNC;
+        __syncthreads();
         count = sums[0], total = sums[1], count_beside = sums[2], total_beside = sums[3];
     #endif
         const double pixels = count + count_beside * weight / stride;
-        if (pixels == 0.0) {  // of an eighth of the rows, or of none at all
-            delta = deepest;
-            if (stride == 1) break;
-            stride = 1;
-            continue;
-        }
         const double found = (volume / stride + total + total_beside * weight / stride) / pixels;
-        const bool is_deepest = found >= deepest && delta >= deepest;
+        const bool is_deepest = pixels == 0.0 || (found >= deepest && delta >= deepest);
         if (stride == 8 && (is_deepest || fabs(found - delta) <= 1e-3 * fabs(delta))) {
             stride = 1;
+            if (pixels == 0.0) delta = deepest;
             continue;
         }
         is_found = is_deepest || (stride == 1 && ceil(found) == ceil(delta));
-        delta = found;
+        delta = pixels == 0.0 ? deepest : found;
     }
-    if (lane == 0) wp::index(out, w) = delta < deepest ? delta : deepest;
+    if (lane == 0) wp::index(p.delta, w) = wp::min(delta, deepest);
 """)
 def _solve(
-    grains: Ints3, beside: wp.array2d(dtype=wp.int32), volume: wp.float64, deepest: wp.float64,
-    weight: wp.float64, out: Doubles, w: int, lane: int, lanes: int,
+    p: Worlds, beside: Ints2, weight: wp.float64, volume: wp.float64, deepest: wp.float64,
+    w: int, lane: int, lanes: int,
 ): ...  # fmt: skip
 
 
 @wp.kernel
 def solve(
-    grains: Ints3,
-    beside: wp.array2d(dtype=wp.int32),
-    weight: wp.float64,
-    asked: Doubles,
-    is_depth: bool,
-    gel_depth: wp.float64,
-    start: int,
-    lanes: int,
-    delta: Doubles,
-    deepest: Doubles,
+    p: Worlds, beside: Ints2, weight: wp.float64, is_depth: bool, gel_depth: wp.float64, lanes: int
 ):
     """δ of each world and the largest there can be, in grains.
 
-    ``asked`` is its volume in pixels × grains or, with ``is_depth``, δ beyond first touch. Points
-    ``beside`` the window, of the same zero, stand for ``weight`` pixels each; the object may touch
-    there first: then the gel is pressed through sooner.
+    What was asked for is a volume or, with ``is_depth``, δ beyond first touch. Points ``beside``
+    the window, of the same zero, stand for ``weight`` pixels each; the object may touch there
+    first: then the gel is pressed through sooner.
     """
     w, lane = wp.tid()
     first = wp.int32(0)
     for k in range(beside.shape[1]):
         first = wp.min(first, beside[w, k])
-    most = gel_depth + wp.float64(first)
+    deepest = gel_depth + wp.float64(first)
+    asked = p.asked[p.start + w]
     if lane == 0:
-        deepest[w] = most
-    wanted = asked[start + w]
-    if is_depth:
-        if lane == 0:
-            delta[w] = wp.min(wanted + wp.float64(first), most)
-            if wanted <= wp.float64(0.0):
-                delta[w] = wp.float64(0.0)
-    else:
-        _solve(grains, beside, wanted, most, weight, delta, w, lane, lanes)
+        p.deepest[w] = deepest
+    if not is_depth:
+        _solve(p, beside, weight, asked, deepest, w, lane, lanes)
+    elif lane == 0:
+        p.delta[w] = wp.min(asked + wp.float64(first), deepest)
+        if asked <= wp.float64(0.0):
+            p.delta[w] = wp.float64(0.0)
 
 
 @wp.kernel
-def check_poses(
-    poses: wp.array3d(dtype=Any), tolerance: wp.float64, wrong: Ints, out: Doubles3
-):
-    """Poses (N, 4, 4) in double precision; ``wrong`` is a world whose pose is no rigid motion."""
-    w = wp.tid()
-    for i in range(4):
-        for j in range(4):
-            out[w, i, j] = wp.float64(poses[w, i, j])
-    is_right = bool(True)
-    for i in range(3):
-        is_right = is_right and wp.abs(out[w, i, 3]) < wp.float64(1.0e300)
-        for j in range(3):
-            product = wp.float64(0.0)
-            for k in range(3):
-                product += out[w, k, i] * out[w, k, j]
-            if i == j:
-                product -= wp.float64(1.0)
-            is_right = is_right and wp.abs(product) <= tolerance
-    for j in range(4):
-        last = out[w, 3, j]
-        if j == 3:
-            last -= wp.float64(1.0)
-        is_right = is_right and wp.abs(last) <= tolerance
-    minor_x = out[w, 1, 1] * out[w, 2, 2] - out[w, 1, 2] * out[w, 2, 1]
-    minor_y = out[w, 1, 0] * out[w, 2, 2] - out[w, 1, 2] * out[w, 2, 0]
-    minor_z = out[w, 1, 0] * out[w, 2, 1] - out[w, 1, 1] * out[w, 2, 0]
-    turn = out[w, 0, 0] * minor_x - out[w, 0, 1] * minor_y + out[w, 0, 2] * minor_z
-    if not (is_right and turn > wp.float64(0.0)):
-        wp.atomic_min(wrong, POSE, w)
-
-
-@wp.kernel
-def check_ids(ids: wp.array(dtype=Any), n_meshes: int, wrong: Ints, out: Ints):
-    """Indices of meshes; ``wrong`` is a world for which there is none."""
-    w = wp.tid()
-    mesh = int(ids[w])
-    out[w] = mesh
-    if mesh < 0 or mesh >= n_meshes:
-        wp.atomic_min(wrong, MESH, w)
-        out[w] = 0
-
-
-@wp.kernel
-def check_force(force_n: wp.array(dtype=Any), factor: wp.float64, wrong: Ints, asked: Doubles):
-    """What the law asks of each gel; ``wrong`` is a world whose force is none."""
-    w = wp.tid()
-    force = wp.float64(force_n[w])
-    asked[w] = force * factor
-    if not (force >= wp.float64(0.0) and force < wp.float64(1.0e300)):
-        wp.atomic_min(wrong, FORCE, w)
-        asked[w] = wp.float64(0.0)
-
-
-@wp.kernel
-def gather_beside(
-    gap_mm: Doubles3,
-    outside: wp.array2d(dtype=wp.bool),
-    zero_mm: Doubles,
-    reach_mm: wp.float64,
-    per_mm: wp.float64,
-    beside: wp.array2d(dtype=wp.int32),
-):
-    """Gaps of the gel around the window, in grains beyond first touch in it, or around it."""
-    w = wp.tid()
-    infinite = wp.float64(wp.inf)
-    n_columns = gap_mm.shape[2]
-    zero, limit_mm = wp.float64(zero_mm[w]), zero_mm[w] + reach_mm
-    if zero == infinite:
-        for r in range(gap_mm.shape[1]):
-            for c in range(n_columns):
-                if outside[r, c]:
-                    zero = wp.min(zero, gap_mm[w, r, c])
-    for r in range(gap_mm.shape[1]):
-        for c in range(n_columns):
-            grains = wp.int32(NO_OBJECT)
-            if outside[r, c] and gap_mm[w, r, c] < limit_mm:
-                gap = (gap_mm[w, r, c] - zero) * per_mm + wp.float64(0.5)
-                grains = wp.int32(wp.clamp(gap, wp.float64(-NO_OBJECT), wp.float64(NO_OBJECT)))
-            beside[w, r * n_columns + c] = grains
-            gap_mm[w, r, c] = infinite
-
-
-@wp.kernel
-def results(
-    delta: Doubles,
-    deepest: Doubles,
-    zero_mm: Doubles,
-    grain_mm: wp.float64,
-    start: int,
-    indentation_mm: Floats,
-    saturated: wp.array(dtype=wp.bool),
-):
+def results(p: Worlds, least_mm: wp.float32):
     """δ of each world, 0 where nothing touches in the window, and whether it is the largest."""
     w = wp.tid()
-    if zero_mm[w] < wp.float64(wp.inf) and delta[w] > wp.float64(0.0):
-        indentation_mm[start + w] = wp.float32(delta[w] * grain_mm)
-    else:
-        indentation_mm[start + w] = 0.0
-    saturated[start + w] = delta[w] >= deepest[w]
+    depth_mm = wp.float32(0.0)
+    if p.zero_mm[w] < wp.float64(wp.inf) and p.delta[w] > wp.float64(0.0):
+        depth_mm = wp.float32(p.delta[w] * p.grain_mm)
+    p.indentation_mm[p.start + w] = depth_mm
+    p.deepest_mm[w] = wp.max(depth_mm, least_mm)
+    p.saturated[p.start + w] = p.delta[w] >= p.deepest[w]
 
 
-@_native("""
-    const int width = given.shape[2];
-    const float* row = &wp::index(given, world, r, 0);
-    float* out = &wp::index(depth_mm, world, r, 0);
-    bool* touched = &wp::index(mask, world, r, 0);
-    int left = width, right = 0, n_nan = 0;
-    float deepest = 0.0f;
-    TACGEN_ALONG(0, width) {
-        out[c] = row[c] > 0.0f ? row[c] : 0.0f;
-        touched[c] = row[c] > 0.0f;
-        n_nan += row[c] != row[c];
-        deepest = row[c] > deepest ? row[c] : deepest;
-        left = row[c] > 0.0f && c < left ? c : left;
-        right = row[c] > 0.0f ? c + 1 : right;
-    }
-    if (n_nan) wp::atomic_min(&wp::index(wrong, 0), world);
-    if (left < right) {
-        wp::atomic_max(&wp::index(deepest_mm, w), deepest);
-        wp::vec4i& patch = wp::index(patches, w);
-        wp::atomic_min(&patch[0], r);
-        wp::atomic_max(&patch[1], r + 1);
-        wp::atomic_min(&patch[2], left);
-        wp::atomic_max(&patch[3], right);
-    }
-""")
-def _take_depth(
-    given: Map3, depth_mm: Map3, mask: wp.array3d(dtype=wp.bool), patches: Windows,
-    deepest_mm: Floats, wrong: Ints, world: int, w: int, r: int, lane: int, lanes: int,
-): ...  # fmt: skip
-
-
-@wp.kernel
-def take_depth(
-    given: Map3, start: int, lanes: int, depth_mm: Map3, mask: wp.array3d(dtype=wp.bool),
-    patches: Windows, deepest_mm: Floats, wrong: Ints,
-):  # fmt: skip
-    """An indentation (N, H, W) that is known, instead of one that is solved for."""
-    w, r, lane = wp.tid()
-    _take_depth(
-        given, depth_mm, mask, patches, deepest_mm, wrong, start + w, w, r, lane, lanes
-    )
-
-
-@wp.kernel
-def results_of_depth(
-    deepest_mm: Floats, gel_depth_mm: wp.float32, start: int, indentation_mm: Floats,
-    saturated: wp.array(dtype=wp.bool),
-):  # fmt: skip
-    """As ``results``."""
-    w = wp.tid()
-    indentation_mm[start + w] = deepest_mm[w]
-    saturated[start + w] = deepest_mm[w] >= gel_depth_mm
-
-
-# The imprint, and how the gel bends around it ----------------------------------------------------
-
-
-@_native("""
-    // Indentation of a row; returns what it holds through bounds: its patch and its deepest pixel.
-    const int width = grains.shape[2];
-    const int* row = &wp::index(grains, w, r, 0);
-    float* out = &wp::index(depth_mm, world, r, 0);
-    bool* touched = &wp::index(mask, world, r, 0);
+_INDENT = """
+    const int lanes = p.lanes;
+    float* out = &wp::index(p.depth_mm, p.start + w, r, 0);
+    bool* touched = &wp::index(p.contact_mask, p.start + w, r, 0);
+    const int width = p.depth_mm.shape[2];
     int left = width, right = 0;
-    TACGEN_ALONG(0, width) {
-        const double depth = (delta - row[c]) * grain_mm;
-        out[c] = depth > 0.0 ? (float)depth : 0.0f;
-    }
+    %s
     TACGEN_ALONG(0, width) {
         touched[c] = out[c] > 0.0f;
         left = out[c] > 0.0f && c < left ? c : left;
         right = out[c] > 0.0f ? c + 1 : right;
     }
-    if (left < right) {
-        int* patch = &wp::index(patches, w)[0];
-        wp::atomic_min(&patch[0], r);
-        wp::atomic_max(&patch[1], r + 1);
-        wp::atomic_min(&patch[2], left);
-        wp::atomic_max(&patch[3], right);
-    }
-""")
-def _indent(
-    grains: Ints3, delta: wp.float64, grain_mm: wp.float64, depth_mm: Map3,
-    mask: wp.array3d(dtype=wp.bool), patches: Windows, world: int, w: int, r: int, lane: int, lanes: int,
-): ...  # fmt: skip
+    if (left < right) TACGEN_GROW(p.patches)
+"""
+
+
+@_native(
+    _INDENT
+    % """
+    const int* row = &wp::index(p.grains, w, r, 0);
+    const double delta = wp::index(p.delta, w), grain_mm = p.grain_mm;
+    TACGEN_ALONG(0, width) {
+        const double depth = (delta - row[c]) * grain_mm;
+        out[c] = depth > 0.0 ? (float)depth : 0.0f;
+    }"""
+)
+def _indent(p: Worlds, w: int, r: int, lane: int): ...
 
 
 @wp.kernel
-def indent(
-    grains: Ints3,
-    delta: Doubles,
-    grain_mm: wp.float64,
-    start: int,
-    lanes: int,
-    depth_mm: Map3,
-    mask: wp.array3d(dtype=wp.bool),
-    patches: Windows,
-):
-    """Indentation (N, H, W) of each pixel, whether it is above 0, and the window of those."""
+def indent(p: Worlds):
+    """Indentation of each pixel, whether it is above 0, and the window of those."""
     w, r, lane = wp.tid()
-    _indent(grains, delta[w], grain_mm, depth_mm, mask, patches, start + w, w, r, lane, lanes)
+    _indent(p, w, r, lane)
+
+
+@_native(
+    _INDENT
+    % """
+    const float* row = &wp::index(given, p.start + w, r, 0);
+    float deepest = 0.0f;
+    TACGEN_ALONG(0, width) {
+        if (row[c] != row[c]) wp::atomic_min(&wp::index(p.wrong, 0), p.start + w);
+        out[c] = row[c] > 0.0f ? row[c] : 0.0f;
+        deepest = out[c] > deepest ? out[c] : deepest;
+    }
+    wp::atomic_max(&wp::index(p.deepest_mm, w), deepest);"""
+)
+def _take_depth(given: Map3, p: Worlds, w: int, r: int, lane: int): ...
+
+
+@wp.kernel
+def take_depth(given: Map3, p: Worlds):
+    """As ``indent``, of an indentation that is given."""
+    w, r, lane = wp.tid()
+    _take_depth(given, p, w, r, lane)
+
+
+@wp.kernel
+def results_of_depth(p: Worlds, gel_depth_mm: wp.float32, least_mm: wp.float32):
+    """As ``results``."""
+    w = wp.tid()
+    p.indentation_mm[p.start + w] = p.deepest_mm[w]
+    p.saturated[p.start + w] = p.deepest_mm[w] >= gel_depth_mm
+    p.deepest_mm[w] = wp.max(p.deepest_mm[w], least_mm)
+
+
+# How the gel bends around it ---------------------------------------------------------------------
 
 
 @_native("""
-    // A row of the surface: the indentation within the patch, 0 around it.
-    float* out = &wp::index(surface, w, r, 0);
-    const float* depth = &wp::index(depth_mm, world, r, 0);
-    const bool is_in = r >= top && r < bottom;
-    TACGEN_ALONG(first, last) out[c] = is_in && c >= left && c < right ? depth[c] : 0.0f;
+    const int lanes = p.lanes;
+    TACGEN_ALONG(window[2], window[3])
+        wp::index(p.height_mm, w, r, c) = wp::index(p.rest_mm, r, c);
 """)
-def _place(
-    depth_mm: Map3, world: int, top: int, bottom: int, left: int, right: int, first: int, last: int,
-    surface: Map3, w: int, r: int, lane: int, lanes: int,
-): ...  # fmt: skip
+def _rest(p: Worlds, window: wp.vec4i, w: int, r: int, lane: int): ...
 
 
 @wp.kernel
-def place(depth_mm: Map3, start: int, patches: Windows, margin: int, lanes: int, surface: Map3):
+def begin(p: Worlds):
+    """Brings the gel of each world back to rest."""
+    w, r, lane = wp.tid()
+    window = p.changed[w]
+    if r >= window[0] and r < window[1]:
+        _rest(p, window, w, r, lane)
+    if lane == 0:
+        p.spans[w, r, 0] = 1 << 30
+        p.spans[w, r, 1] = 0
+
+
+@wp.kernel
+def clear(p: Worlds):
+    """Nothing is indented or deformed yet."""
+    w = wp.tid()
+    p.patches[w] = wp.vec4i(1 << 30, 0, 1 << 30, 0)
+    p.changed[w] = wp.vec4i(1 << 30, 0, 1 << 30, 0)
+    p.deepest_mm[w] = 0.0
+    p.relief_mm[w] = 0.0
+
+
+@_native("""
+    const int lanes = p.lanes;
+    float* out = &wp::index(p.surface, w, r, 0);
+    const float* depth = &wp::index(p.depth_mm, p.start + w, r, 0);
+    const bool is_in = r >= patch[0] && r < patch[1];
+    TACGEN_ALONG(frame[2], frame[3])
+        out[c] = is_in && c >= patch[2] && c < patch[3] ? depth[c] : 0.0f;
+""")
+def _place(p: Worlds, patch: wp.vec4i, frame: wp.vec4i, w: int, r: int, lane: int): ...
+
+
+@wp.kernel
+def place(p: Worlds, margin: int):
     """The surface of each world: its indentation, and gel at rest around it."""
     w, r, lane = wp.tid()
-    p = patches[w]
-    frame = grown(p, margin, 4, surface.shape[1], surface.shape[2])
+    frame = grown(p.patches[w], margin, 4, p.surface.shape[1], p.surface.shape[2])
     if r >= frame[0] and r < frame[1]:
-        _place(
-            depth_mm, start + w, p[0], p[1], p[2], p[3], frame[2], frame[3], surface,
-            w, r, lane, lanes,
-        )  # fmt: skip
+        _place(p, p.patches[w], frame, w, r, lane)
 
 
 @_native("""
     // Means of blocks of 2×2 pixels; beyond the window its edges go on.
-    const int above = wp::clamp(2 * r - 4, 0, bottom - top - 1);
-    const int below = wp::clamp(2 * r - 3, 0, bottom - top - 1);
-    const float* up = &wp::index(fine, w, top + above, left);
-    const float* down = &wp::index(fine, w, top + below, left);
-    float* out = &wp::index(coarse, w, r, 0);
-    const int end = right - left - 1, n_blocks = (end + 2) / 2 + 4;
+    const int last = window[1] - window[0] - 1, end = window[3] - window[2] - 1;
+    const int above = wp::clamp(2 * r - 4, 0, last), below = wp::clamp(2 * r - 3, 0, last);
+    const float* up = &wp::index(source, w, window[0] + above, window[2]);
+    const float* down = &wp::index(source, w, window[0] + below, window[2]);
+    float* __restrict out = &wp::index(target, w, r, 0);
     #define TACGEN_MEAN(even, odd) (0.25f * ((up[even] + down[even]) + (up[odd] + down[odd])))
-    #if !defined(__CUDA_ARCH__)
-    for (int c = 2; 2 * c - 3 <= end; c++) out[c] = TACGEN_MEAN(2 * c - 4, 2 * c - 3);
-    #endif
-    TACGEN_ALONG(0, n_blocks) {
-        if (TILE > 1 && c == 2) c = end / 2 + 1;  // but for the edges, done already
+    if (TILE > 1)
+        for (int c = 2; 2 * c - 3 <= end; c++) out[c] = TACGEN_MEAN(2 * c - 4, 2 * c - 3);
+    TACGEN_ALONG(0, (end + 2) / 2 + 4) {
+        if (TILE > 1 && c == 2) c = wp::max((end + 3) / 2, 2);  // what is done already
         const int even = wp::clamp(2 * c - 4, 0, end), odd = wp::clamp(2 * c - 3, 0, end);
         out[c] = TACGEN_MEAN(even, odd);
     }
 """)
-def _halve(
-    fine: Map3, top: int, bottom: int, left: int, right: int, coarse: Map3,
-    w: int, r: int, lane: int, lanes: int,
-): ...  # fmt: skip
-
-
-@wp.kernel
-def halve(
-    fine: Map3, patches: Windows, margin: int, step: int, level: int, height: int, width: int,
-    lanes: int, coarse: Map3,
-):  # fmt: skip
-    """Means of 2×2 pixels of a window that was halved ``level`` times before."""
-    w, r, lane = wp.tid()
-    window = blocks(grown(patches[w], margin, step, height, width), level)
-    if r < blocks(window, 1)[1]:
-        _halve(fine, window[0], window[1], window[2], window[3], coarse, w, r, lane, lanes)
+def _halve(source: Map3, window: wp.vec4i, target: Map3, w: int, r: int, lane: int, lanes: int): ...
 
 
 @_native("""
     // One row blurred along itself; beyond the window its edges go on.
-    const int radius = kernel.shape[0] - 1;
+    const int radius = kernel.shape[0] - 1, beyond = TILE == 1 ? 0 : radius;
     const float* k = &wp::index(kernel, 0);
     const float* row = &wp::index(source, w, r, 0);
     float* out = &wp::index(target, w, r, 0);
-    TACGEN_TILES(left, right) {
-        float sum[TILE];
-        if (c0 - radius < left || c0 + n + radius > right) {
-            float line[TILE + 128];
-            const int beyond = TILE == 1 ? 0 : radius;
+    TACGEN_TILES(window[2], window[3]) {
+        float sum[TILE], line[TILE + 128];
+        const float* middle = row + c0;
+        const bool is_edge = c0 - radius < window[2] || c0 + n + radius > window[3];
+        if (is_edge) {
             for (int i = -beyond; i < n + beyond; i++)
-                line[beyond + i] = row[wp::clamp(c0 + i, left, right - 1)];
-            for (int i = 0; i < n; i++) sum[i] = k[0] * line[beyond + i];
-            for (int j = 1; j <= radius; j++) {
-                if (TILE == 1) {
-                    sum[0] += k[j] * (row[wp::max(c0 - j, left)] + row[wp::min(c0 + j, right - 1)]);
-                } else {
-                    const float* low = line + radius - j;
-                    const float* high = line + radius + j;
-                    for (int i = 0; i < n; i++) sum[i] += k[j] * (low[i] + high[i]);
-                }
-            }
-        } else {
-            for (int i = 0; i < n; i++) sum[i] = k[0] * row[c0 + i];
-            for (int j = 1; j <= radius; j++) {
-                const float* low = row + c0 - j;
-                const float* high = row + c0 + j;
+                line[beyond + i] = row[wp::clamp(c0 + i, window[2], window[3] - 1)];
+            middle = line + beyond;
+        }
+        for (int i = 0; i < n; i++) sum[i] = k[0] * middle[i];
+        for (int j = 1; j <= radius; j++) {
+            if (TILE == 1 && is_edge) {
+                const int low = wp::max(c0 - j, window[2]), high = wp::min(c0 + j, window[3] - 1);
+                sum[0] += k[j] * (row[low] + row[high]);
+            } else {
+                const float* low = middle - j;
+                const float* high = middle + j;
                 for (int i = 0; i < n; i++) sum[i] += k[j] * (low[i] + high[i]);
             }
         }
@@ -671,8 +626,8 @@ def halve(
     }
 """)
 def _blur_along(
-    source: Map3, left: int, right: int, kernel: Floats, target: Map3,
-    w: int, r: int, lane: int, lanes: int,
+    source: Map3, window: wp.vec4i, kernel: Floats, target: Map3, w: int, r: int, lane: int,
+    lanes: int,
 ): ...  # fmt: skip
 
 
@@ -680,58 +635,32 @@ def _blur_along(
     // One row of the sum along columns; beyond the window its edges go on.
     const int radius = kernel.shape[0] - 1;
     const float* k = &wp::index(kernel, 0);
-    const float* row = &wp::index(source, w, r, 0);
     float* out = &wp::index(target, w, r, 0);
-    TACGEN_TILES(left, right) {
+    TACGEN_TILES(window[2], window[3]) {
+        const float* row = &wp::index(source, w, r, c0);
         float sum[TILE];
-        for (int i = 0; i < n; i++) sum[i] = k[0] * row[c0 + i];
+        for (int i = 0; i < n; i++) sum[i] = k[0] * row[i];
         for (int j = 1; j <= radius; j++) {
-            const float* low = &wp::index(source, w, wp::max(r - j, top), c0);
-            const float* high = &wp::index(source, w, wp::min(r + j, bottom - 1), c0);
+            const float* low = &wp::index(source, w, wp::max(r - j, window[0]), c0);
+            const float* high = &wp::index(source, w, wp::min(r + j, window[1] - 1), c0);
             for (int i = 0; i < n; i++) sum[i] += k[j] * (low[i] + high[i]);
         }
         for (int i = 0; i < n; i++) out[c0 + i] = sum[i];
     }
 """)
 def _blur_down(
-    source: Map3, top: int, bottom: int, left: int, right: int, kernel: Floats, target: Map3,
-    w: int, r: int, lane: int, lanes: int,
+    source: Map3, window: wp.vec4i, kernel: Floats, target: Map3, w: int, r: int, lane: int,
+    lanes: int,
 ): ...  # fmt: skip
 
 
-@wp.kernel
-def blur_along(
-    source: Map3, patches: Windows, margin: int, step: int, level: int, height: int, width: int,
-    kernel: Floats, lanes: int, target: Map3,
-):  # fmt: skip
-    """A Gaussian along the rows of a window."""
-    w, r, lane = wp.tid()
-    window = blocks(grown(patches[w], margin, step, height, width), level)
-    if r >= window[0] and r < window[1]:
-        _blur_along(source, window[2], window[3], kernel, target, w, r, lane, lanes)
-
-
-@wp.kernel
-def blur_down(
-    source: Map3, patches: Windows, margin: int, step: int, level: int, height: int, width: int,
-    kernel: Floats, lanes: int, target: Map3,
-):  # fmt: skip
-    """A Gaussian along the columns of a window."""
-    w, r, lane = wp.tid()
-    window = blocks(grown(patches[w], margin, step, height, width), level)
-    if r >= window[0] and r < window[1]:
-        _blur_down(
-            source, window[0], window[1], window[2], window[3], kernel, target, w, r, lane, lanes
-        )
-
-
 @_native("""
-    // One row between the middles of the blocks that ``_halve`` made, three quarters from the near.
-    const int at = r - top, near = at / 2 + 2, far = at % 2 ? near + 1 : near - 1;
-    const float* close = &wp::index(coarse, w, near, 0);
-    const float* other = &wp::index(coarse, w, far, 0);
-    float* out = &wp::index(fine, w, r, left);
-    const int width = right - left;
+    // One row between the middles of the blocks that halving made, three quarters from the near.
+    const int at = r - window[0], near = at / 2 + 2, far = at % 2 ? near + 1 : near - 1;
+    const float* close = &wp::index(source, w, near, 0);
+    const float* other = &wp::index(source, w, far, 0);
+    float* out = &wp::index(target, w, r, window[2]);
+    const int width = window[3] - window[2];
     TACGEN_TILES(0, (width + 1) / 2) {
         float mean[TILE + 2];
         for (int i = 0; i < n + 2; i++)
@@ -743,143 +672,107 @@ def blur_down(
         }
     }
 """)
-def _double(
-    coarse: Map3, top: int, left: int, right: int, fine: Map3,
-    w: int, r: int, lane: int, lanes: int,
-): ...  # fmt: skip
+def _double(source: Map3, window: wp.vec4i, target: Map3, w: int, r: int, lane: int, lanes: int): ...
 
 
 @wp.kernel
-def double(
-    coarse: Map3, patches: Windows, margin: int, step: int, level: int, height: int, width: int,
-    lanes: int, fine: Map3,
+def resample(
+    source: Map3, patches: Windows, margin: int, step: int, level: int, height: int, width: int,
+    kernel: Floats, how: int, lanes: int, target: Map3,
 ):  # fmt: skip
-    """Interpolates blocks back, to a window that was halved ``level`` times."""
+    """One step of a Gaussian on a window that was halved ``level`` times."""
     w, r, lane = wp.tid()
     window = blocks(grown(patches[w], margin, step, height, width), level)
-    if r >= window[0] and r < window[1]:
-        _double(coarse, window[0], window[2], window[3], fine, w, r, lane, lanes)
+    if how == HALVE:
+        if r < blocks(window, 1)[1]:
+            _halve(source, window, target, w, r, lane, lanes)
+    elif r >= window[0] and r < window[1]:
+        if how == ALONG:
+            _blur_along(source, window, kernel, target, w, r, lane, lanes)
+        elif how == DOWN:
+            _blur_down(source, window, kernel, target, w, r, lane, lanes)
+        else:
+            _double(source, window, target, w, r, lane, lanes)
 
 
 @_native("""
-    const float* depth = &wp::index(depth_mm, world, r, 0);
-    float* out = &wp::index(surface, w, r, 0);
-    TACGEN_ALONG(left, right) {
-        const float share = (depth[c] - loose) * per_mm;
+    const int lanes = p.lanes;
+    const float* depth = &wp::index(p.depth_mm, p.start + w, r, 0);
+    float* out = &wp::index(p.surface, w, r, 0);
+    TACGEN_ALONG(window[2], window[3]) {
+        const float share = (depth[c] - loose_mm) * per_mm;
         const float hold = share < 0.0f ? 0.0f : share > 1.0f ? 1.0f : share;
         out[c] += hold * (depth[c] - out[c]);
     }
 """)
 def _keep_contact(
-    depth_mm: Map3, world: int, loose: wp.float32, per_mm: wp.float32, left: int, right: int,
-    surface: Map3, w: int, r: int, lane: int, lanes: int,
-): ...  # fmt: skip
-
-
-@wp.kernel
-def keep_contact(
-    depth_mm: Map3, start: int, patches: Windows, deepest_mm: Floats, loose: wp.float32,
-    firm: wp.float32, lanes: int, surface: Map3,
-):  # fmt: skip
-    """Holds the surface to the object where it is pressed deep: by shares of the deepest."""
-    w, r, lane = wp.tid()
-    p = patches[w]
-    if r >= p[0] and r < p[1]:
-        deep = deepest_mm[w]
-        _keep_contact(
-            depth_mm, start + w, loose * deep, 1.0 / ((firm - loose) * deep), p[2], p[3], surface,
-            w, r, lane, lanes,
-        )  # fmt: skip
-
-
-@wp.kernel
-def deepest_of(delta: Doubles, grain_mm: wp.float64, least: wp.float32, deepest_mm: Floats):
-    """The deepest indentation of each world."""
-    w = wp.tid()
-    deepest_mm[w] = wp.max(wp.float32(delta[w] * grain_mm), least)
-
-
-@_native("""
-    // The gel's height where it is deformed; what is less than least_mm is none.
-    const float* deformation = &wp::index(surface, w, r, 0);
-    const float* rest = &wp::index(rest_mm, r, 0);
-    float* out = &wp::index(height_mm, w, r, 0);
-    int first = 1 << 30, last = 0;
-    float deepest = 0.0f;
-    TACGEN_ALONG(left, right) {
-        const float d = deformation[c] >= least_mm ? deformation[c] : 0.0f;
-        out[c] = rest[c] - d;
-        first = d > 0.0f && c < first ? c : first;
-        last = d > 0.0f ? c + 1 : last;
-        deepest = d > deepest ? d : deepest;
-    }
-    if (last > 0) {
-        int* patch = &wp::index(patches, w)[0];
-        wp::atomic_min(&patch[0], r);
-        wp::atomic_max(&patch[1], r + 1);
-        wp::atomic_min(&patch[2], first);
-        wp::atomic_max(&patch[3], last);
-        wp::atomic_min(&wp::index(spans, w, r, 0), first);
-        wp::atomic_max(&wp::index(spans, w, r, 1), last);
-        wp::atomic_max(&wp::index(deepest_mm, w), deepest);
-    }
-""")
-def _settle(
-    surface: Map3, rest_mm: Map2, least_mm: wp.float32, left: int, right: int, height_mm: Map3,
-    patches: Windows, spans: Ints3, deepest_mm: Floats, w: int, r: int, lane: int, lanes: int,
-): ...  # fmt: skip
-
-
-@_native("""
-    const float* rest = &wp::index(rest_mm, r, 0);
-    float* out = &wp::index(height_mm, w, r, 0);
-    TACGEN_ALONG(left, right) out[c] = rest[c];
-""")
-def _rest(
-    rest_mm: Map2, left: int, right: int, height_mm: Map3, w: int, r: int, lane: int, lanes: int
+    p: Worlds, window: wp.vec4i, loose_mm: wp.float32, per_mm: wp.float32, w: int, r: int, lane: int
 ): ...
 
 
 @wp.kernel
-def begin(
-    rest_mm: Map2, changed: Windows, lanes: int, height_mm: Map3, spans: Ints3, patches: Windows
-):
-    """Brings the height of each world back to rest, where it was ``changed``."""
+def keep_contact(p: Worlds, loose: wp.float32, firm: wp.float32):
+    """Holds the surface to the object where it is pressed deep: by shares of the deepest."""
     w, r, lane = wp.tid()
-    window = changed[w]
+    window = p.patches[w]
     if r >= window[0] and r < window[1]:
-        _rest(rest_mm, window[2], window[3], height_mm, w, r, lane, lanes)
-    if lane == 0:
-        spans[w, r, 0] = 1 << 30
-        spans[w, r, 1] = 0
-    if lane == 0 and r == 0:
-        patches[w] = wp.vec4i(1 << 30, 0, 1 << 30, 0)
+        deep_mm = p.deepest_mm[w]
+        _keep_contact(p, window, loose * deep_mm, 1.0 / ((firm - loose) * deep_mm), w, r, lane)
+
+
+@_native("""
+    const int lanes = p.lanes;
+    const float* deformation = &wp::index(p.surface, w, r, 0);
+    const float* rest = &wp::index(p.rest_mm, r, 0);
+    float* out = &wp::index(p.height_mm, w, r, 0);
+    int left = 1 << 30, right = 0;
+    float deepest = 0.0f;
+    TACGEN_ALONG(window[2], window[3]) {
+        const float d = deformation[c] >= least_mm ? deformation[c] : 0.0f;
+        out[c] = rest[c] - d;
+        left = d > 0.0f && c < left ? c : left;
+        right = d > 0.0f ? c + 1 : right;
+        deepest = d > deepest ? d : deepest;
+    }
+    if (right > 0) {
+        TACGEN_GROW(p.changed)
+        wp::atomic_min(&wp::index(p.spans, w, r, 0), left);
+        wp::atomic_max(&wp::index(p.spans, w, r, 1), right);
+        wp::atomic_max(&wp::index(p.relief_mm, w), deepest);
+    }
+""")
+def _settle(p: Worlds, window: wp.vec4i, least_mm: wp.float32, w: int, r: int, lane: int): ...
 
 
 @wp.kernel
-def clear_changed(changed: Windows, deepest_mm: Floats):
-    """Nothing is deformed yet."""
-    w = wp.tid()
-    changed[w] = wp.vec4i(1 << 30, 0, 1 << 30, 0)
-    deepest_mm[w] = 0.0
-
-
-@wp.kernel
-def settle(
-    surface: Map3, patches: Windows, margin: int, rest_mm: Map2, least_mm: wp.float32, lanes: int,
-    height_mm: Map3, changed: Windows, spans: Ints3, deepest_mm: Floats,
-):  # fmt: skip
+def settle(p: Worlds, margin: int, least_mm: wp.float32):
     """The height of the gel, the window and the columns of each row that are not at rest."""
     w, r, lane = wp.tid()
-    window = grown(patches[w], margin, 1, surface.shape[1], surface.shape[2])
+    window = grown(p.patches[w], margin, 1, p.surface.shape[1], p.surface.shape[2])
     if r >= window[0] and r < window[1]:
-        _settle(
-            surface, rest_mm, least_mm, window[2], window[3], height_mm, changed, spans, deepest_mm,
-            w, r, lane, lanes,
-        )  # fmt: skip
+        _settle(p, window, least_mm, w, r, lane)
 
 
 # Colour ------------------------------------------------------------------------------------------
+
+
+@wp.struct
+class Table:
+    """An image model made ready: Taxim's quadratic, or a response and what a contact adds to it."""
+
+    is_response: bool
+    interpolates: bool
+    nodes: Floats
+    n_slope: int
+    n_direction: int
+    node_rows: int
+    node_columns: int
+    per_slope: wp.float32
+    per_direction: wp.float32
+    contact_depth_mm: wp.float32
+    contact: Map2
+    contact_rest_mm: Map2
+    background: Map3
 
 
 @wp.func
@@ -896,50 +789,54 @@ def lit_span(spans: Ints3, w: int, r: int, width: int) -> wp.vec2i:
 
 
 _SLOPES = """
-    // Coordinates in the table: along[i] of the slope, around[i] of its direction.
-    const int n_rows = height_mm.shape[1], n_columns = height_mm.shape[2];
+    const int lanes = p.lanes, n_rows = p.height_mm.shape[1], n_columns = p.height_mm.shape[2];
     const int r_up = wp::max(r - 1, 0), r_down = wp::min(r + 1, n_rows - 1);
-    const float* here = &wp::index(height_mm, w, r, 0);
-    const float* up = &wp::index(height_mm, w, r_up, 0);
-    const float* down = &wp::index(height_mm, w, r_down, 0);
-    const float per_row = r_down > r_up ? 1.0f / (mm_per_px * (r_down - r_up)) : 0.0f;
-    const float per_column = 0.5f / mm_per_px;
-    #define TACGEN_SLOPES \
-        float gx[TILE], gy[TILE]; \
-        for (int i = 0; i < n; i++) gy[i] = (down[c0 + i] - up[c0 + i]) * per_row; \
-        const int i_first = c0 == 0 ? 1 : 0, i_last = c0 + n == n_columns ? n - 1 : n; \
-        for (int i = i_first; i < i_last; i++) \
-            gx[i] = (here[c0 + i + 1] - here[c0 + i - 1]) * per_column; \
-        if (c0 == 0) gx[0] = n_columns > 1 ? (here[1] - here[0]) * 2.0f * per_column : 0.0f; \
-        if (c0 + n == n_columns && n_columns > 1) \
-            gx[n - 1] = (here[n_columns - 1] - here[n_columns - 2]) * 2.0f * per_column;
+    const float* here = &wp::index(p.height_mm, w, r, 0);
+    const float* up = &wp::index(p.height_mm, w, r_up, 0);
+    const float* down = &wp::index(p.height_mm, w, r_down, 0);
+    const float* table = &wp::index(t.nodes, 0);
+    const float* back = &wp::index(t.background, r, 0, 0);
+    float* out = &wp::index(p.image, w, r, 0, 0);
+    const float per_row = r_down > r_up ? 1.0f / (p.mm_per_px * (r_down - r_up)) : 0.0f;
+    const float per_column = 0.5f / p.mm_per_px;
+    const int n_direction = t.n_direction, last_slope = t.n_slope - (t.interpolates ? 2 : 1);
+    const float per_slope = t.per_slope, per_direction = t.per_direction;
+    const float interpolates = t.interpolates ? 1.0f : 0.0f;
     // Arc tangent of y / x, both at least 0 (Cephes atanf).
     auto arc = [](float y, float x) {
         const float small = y < x ? y : x, large = y < x ? x : y;
         const bool far = small > 0.41421356f * large;
         const float top = far ? small - large : small, bottom = far ? small + large : large;
         const float q = top / (bottom > 1e-30f ? bottom : 1e-30f), z = q * q;
-        float p = 8.05374449538e-2f * z - 1.38776856032e-1f;
-        p = p * z + 1.99777106478e-1f;
-        p = p * z - 3.33329491539e-1f;
-        float angle = p * z * q + q;
+        float series = 8.05374449538e-2f * z - 1.38776856032e-1f;
+        series = series * z + 1.99777106478e-1f;
+        series = series * z - 3.33329491539e-1f;
+        float angle = series * z * q + q;
         angle = far ? angle + 0.78539816f : angle;
         return y > x ? 1.5707963f - angle : angle;
     };
-    #define TACGEN_COORDINATES \
-        float along[TILE], around[TILE]; \
-        int node[TILE]; \
-        for (int i = 0; i < n; i++) { \
-            const float x = gx[i], y = gy[i]; \
-            float angle = arc(fabsf(y), fabsf(x)); \
-            angle = x < 0.0f ? 3.14159265f - angle : angle; \
-            angle = y < 0.0f ? -angle : angle; \
-            const float p = arc(sqrtf(x * x + y * y), 1.0f) * per_slope; \
-            const float q = (angle + 3.14159265f) * per_direction; \
-            const int k = wp::min((int)p, last_slope), l = wp::min((int)q, n_direction - 1); \
-            along[i] = interpolates ? wp::min(p - k, 1.0f) : 0.0f; \
-            around[i] = interpolates ? wp::min(q - l, 1.0f) : 0.0f; \
-            node[i] = (k * (n_direction + 1) + l) * node_floats; \
+    // Slopes gx, gy of a tile; its nodes in the table, and the shares p1, q1 of the next ones.
+    #define TACGEN_LOOK_UP(node_floats) \\
+        float gx[TILE], gy[TILE], p1[TILE], q1[TILE]; \\
+        int node[TILE]; \\
+        for (int i = 0; i < n; i++) gy[i] = (down[c0 + i] - up[c0 + i]) * per_row; \\
+        const int i_first = c0 == 0 ? 1 : 0, i_last = c0 + n == n_columns ? n - 1 : n; \\
+        for (int i = i_first; i < i_last; i++) \\
+            gx[i] = (here[c0 + i + 1] - here[c0 + i - 1]) * per_column; \\
+        if (c0 == 0) gx[0] = n_columns > 1 ? (here[1] - here[0]) * 2.0f * per_column : 0.0f; \\
+        if (c0 + n == n_columns && n_columns > 1) \\
+            gx[n - 1] = (here[n_columns - 1] - here[n_columns - 2]) * 2.0f * per_column; \\
+        for (int i = 0; i < n; i++) { \\
+            const float x = gx[i], y = gy[i]; \\
+            float angle = arc(fabsf(y), fabsf(x)); \\
+            angle = x < 0.0f ? 3.14159265f - angle : angle; \\
+            angle = y < 0.0f ? -angle : angle; \\
+            const float slope = arc(sqrtf(x * x + y * y), 1.0f) * per_slope; \\
+            const float turn = (angle + 3.14159265f) * per_direction; \\
+            const int k = wp::min((int)slope, last_slope), l = wp::min((int)turn, n_direction - 1); \\
+            p1[i] = interpolates * wp::min(slope - k, 1.0f); \\
+            q1[i] = interpolates * wp::min(turn - l, 1.0f); \\
+            node[i] = (k * (n_direction + 1) + l) * node_floats; \\
         }
 """
 
@@ -947,150 +844,96 @@ _SLOPES = """
 @_native(
     _SLOPES
     + """
-    // Taxim's quadratic in position between nodes of slope and direction, on the background.
-    const float* table = &wp::index(nodes, 0);
-    const float* back = &wp::index(background, r, 0, 0);
-    float* out = &wp::index(image, w, r, 0, 0);
-    const int node_floats = 24, to_around = interpolates ? 24 : 0;
-    const int to_along = interpolates ? 24 * (n_direction + 1) : 0;
-    const int last_slope = interpolates ? n_slope - 2 : n_slope - 1;
+    // A quadratic in position between nodes of slope and direction, on the background.
+    const int next = t.interpolates ? 24 : 0, deeper = next * (n_direction + 1);
     const float v = (r + 0.5f) / n_rows - 0.5f;
-    TACGEN_TILES(first, last) {
-        TACGEN_SLOPES
-        TACGEN_COORDINATES
+    TACGEN_TILES(span[0], span[1]) {
+        TACGEN_LOOK_UP(24)
         for (int i = 0; i < n; i++) {
-            const float* node00 = table + node[i];
-            const float* node01 = node00 + to_around;
-            const float* node10 = node00 + to_along;
-            const float* node11 = node10 + to_around;
-            const float w11 = along[i] * around[i], w10 = along[i] - w11, w01 = around[i] - w11;
-            const float w00 = 1.0f - along[i] - w01, u = (c0 + i + 0.5f) / n_columns - 0.5f;
-            float feature[24];
+            const float* a = table + node[i];
+            const float* b = a + deeper;
+            const float w11 = p1[i] * q1[i], w10 = p1[i] - w11, w01 = q1[i] - w11;
+            const float w00 = 1.0f - p1[i] - w01, u = (c0 + i + 0.5f) / n_columns - 0.5f;
+            float f[24], grey[4];
             for (int j = 0; j < 24; j++)
-                feature[j] = (w00 * node00[j] + w01 * node01[j]) + (w10 * node10[j] + w11 * node11[j]);
-            float grey[4];
+                f[j] = (w00 * a[j] + w01 * a[next + j]) + (w10 * b[j] + w11 * b[next + j]);
             for (int j = 0; j < 4; j++)
-                grey[j] = (feature[j] * u * u + (feature[8 + j] * u + feature[16 + j]) * v)
-                    + (feature[4 + j] * v * v + (feature[12 + j] * u + feature[20 + j]));
+                grey[j] = (f[j] * u * u + (f[8 + j] * u + f[16 + j]) * v)
+                    + (f[4 + j] * v * v + (f[12 + j] * u + f[20 + j]));
             for (int j = 0; j < 3; j++) out[3 * (c0 + i) + j] = back[3 * (c0 + i) + j] + grey[j];
         }
     }
 """
 )
-def _shade_quadratic(
-    height_mm: Map3, mm_per_px: wp.float32, nodes: Floats, n_slope: int, n_direction: int,
-    per_slope: wp.float32, per_direction: wp.float32, interpolates: bool, background: Map3,
-    image: Map4, w: int, r: int, first: int, last: int, lane: int, lanes: int,
-): ...  # fmt: skip
+def _shade_quadratic(p: Worlds, t: Table, span: wp.vec2i, w: int, r: int, lane: int): ...
 
 
 @_native(
     _SLOPES
     + """
     // Light of any course in position, between nodes of row, column, slope and direction.
-    const float* table = &wp::index(nodes, 0);
-    const float* back = &wp::index(background, r, 0, 0);
-    const float* rest = &wp::index(rest_mm, r, 0);
-    float* out = &wp::index(image, w, r, 0, 0);
-    const bool interpolates = true;
-    const int node_floats = 4, last_slope = n_slope - 2;
-    const int to_slope = (n_direction + 1) * 4, to_column = n_slope * to_slope;
-    const int to_row = node_columns * to_column;
-    const float down_at = (r + 0.5f) / n_rows * (node_rows - 1);
-    const int row = wp::min((int)down_at, node_rows - 2);
-    const float share_down = down_at - row;
-    const float* over = &wp::index(contact, row, 0);
-    const float* under = &wp::index(contact, row + 1, 0);
-    TACGEN_TILES(first, last) {
-        TACGEN_SLOPES
-        TACGEN_COORDINATES
+    const float* rest = &wp::index(t.contact_rest_mm, r, 0);
+    const int deeper = (n_direction + 1) * 4, aside = t.n_slope * deeper;
+    const int to_row = t.node_columns * aside, both = aside + deeper;
+    const float at_row = (r + 0.5f) / n_rows * (t.node_rows - 1);
+    const int row = wp::min((int)at_row, t.node_rows - 2);
+    const float share_down = at_row - row;
+    const float* over = &wp::index(t.contact, row, 0);
+    const float* under = &wp::index(t.contact, row + 1, 0);
+    TACGEN_TILES(span[0], span[1]) {
+        TACGEN_LOOK_UP(4)
         for (int i = 0; i < n; i++) {
-            const float at = (c0 + i + 0.5f) / n_columns * (node_columns - 1);
-            const int column = wp::min((int)at, node_columns - 2);
-            const float share = at - column, p = along[i], q = around[i];
-            const float w11 = p * share, w10 = p - w11, w01 = share - w11, w00 = 1.0f - p - w01;
-            const float* here = table + node[i] + row * to_row + column * to_column;
-            const float* below = here + to_row;
+            const float at = (c0 + i + 0.5f) / n_columns * (t.node_columns - 1);
+            const int column = wp::min((int)at, t.node_columns - 2);
+            const float share = at - column, w11 = p1[i] * share;
+            const float w10 = p1[i] - w11, w01 = share - w11, w00 = 1.0f - p1[i] - w01;
+            const float* a = table + node[i] + row * to_row + column * aside;
+            const float* b = a + to_row;
             float pair[8];
             for (int j = 0; j < 8; j++) {
-                const float level = (w00 * here[j] + w01 * here[to_column + j])
-                    + (w10 * here[to_slope + j] + w11 * here[to_column + to_slope + j]);
-                const float next = (w00 * below[j] + w01 * below[to_column + j])
-                    + (w10 * below[to_slope + j] + w11 * below[to_column + to_slope + j]);
-                pair[j] = level + share_down * (next - level);
+                const float level =
+                    (w00 * a[j] + w01 * a[aside + j]) + (w10 * a[deeper + j] + w11 * a[both + j]);
+                const float below =
+                    (w00 * b[j] + w01 * b[aside + j]) + (w10 * b[deeper + j] + w11 * b[both + j]);
+                pair[j] = level + share_down * (below - level);
             }
             float* pixel = out + 3 * (c0 + i);
             for (int j = 0; j < 3; j++)
-                pixel[j] = back[3 * (c0 + i) + j] + (pair[j] + q * (pair[4 + j] - pair[j]));
-            const float depth = rest[c0 + i] - here_mm[c0 + i];
-            if (depth > 0.0f) {  // what the contact itself adds
-                const float cosine = 1.0f / sqrtf(1.0f + gx[i] * gx[i] + gy[i] * gy[i]);
-                const float nx = gx[i] * cosine, ny = gy[i] * cosine;
-                const float shown = depth / (depth + contact_depth_mm);
-                float mixed[24];
-                for (int j = 0; j < 24; j++)
-                    mixed[j] = over[12 * column + j]
-                        + share_down * (under[12 * column + j] - over[12 * column + j]);
-                for (int j = 0; j < 3; j++) {
-                    const float a = mixed[j] + nx * mixed[4 + j] + ny * mixed[8 + j];
-                    const float b = mixed[12 + j] + nx * mixed[16 + j] + ny * mixed[20 + j];
-                    pixel[j] += shown * ((1.0f - share) * a + share * b);
-                }
+                pixel[j] = back[3 * (c0 + i) + j] + (pair[j] + q1[i] * (pair[4 + j] - pair[j]));
+            const float depth = rest[c0 + i] - here[c0 + i];
+            if (depth <= 0.0f) continue;
+            const float cosine = 1.0f / sqrtf(1.0f + gx[i] * gx[i] + gy[i] * gy[i]);
+            const float nx = gx[i] * cosine, ny = gy[i] * cosine;
+            const float shown = depth / (depth + t.contact_depth_mm);
+            float f[24];
+            for (int j = 0; j < 24; j++)
+                f[j] = over[12 * column + j]
+                    + share_down * (under[12 * column + j] - over[12 * column + j]);
+            for (int j = 0; j < 3; j++) {
+                const float left = f[j] + nx * f[4 + j] + ny * f[8 + j];
+                const float right = f[12 + j] + nx * f[16 + j] + ny * f[20 + j];
+                pixel[j] += shown * ((1.0f - share) * left + share * right);
             }
         }
     }
-""".replace("here_mm[", "(&wp::index(height_mm, w, r, 0))[")
+"""
 )
-def _shade_response(
-    height_mm: Map3, mm_per_px: wp.float32, nodes: Floats, n_slope: int, n_direction: int,
-    node_rows: int, node_columns: int, per_slope: wp.float32, per_direction: wp.float32,
-    rest_mm: Map2, contact: Map2, contact_depth_mm: wp.float32, background: Map3,
-    image: Map4, w: int, r: int, first: int, last: int, lane: int, lanes: int,
-): ...  # fmt: skip
-
-
-@wp.struct
-class TableOnDevice:
-    """An image model made ready: Taxim's quadratic, or a response with what a contact adds."""
-
-    is_response: bool
-    interpolates: bool
-    nodes: Floats
-    n_slope: int
-    n_direction: int
-    node_rows: int
-    node_columns: int
-    per_slope: wp.float32
-    per_direction: wp.float32
-    mm_per_px: wp.float32
-    contact_depth_mm: wp.float32
-    contact: Map2
-    contact_rest_mm: Map2
-    background: Map3
+def _shade_response(p: Worlds, t: Table, span: wp.vec2i, w: int, r: int, lane: int): ...
 
 
 @wp.kernel
-def shade(height_mm: Map3, spans: Ints3, table: TableOnDevice, lanes: int, image: Map4):
+def shade(p: Worlds, t: Table):
     """Grey levels of the pixels that are not at rest, and of their neighbours."""
     w, r, lane = wp.tid()
-    span = lit_span(spans, w, r, height_mm.shape[2])
+    span = lit_span(p.spans, w, r, p.height_mm.shape[2])
     if span[0] < span[1]:
-        if table.is_response:
-            _shade_response(
-                height_mm, table.mm_per_px, table.nodes, table.n_slope, table.n_direction,
-                table.node_rows, table.node_columns, table.per_slope, table.per_direction,
-                table.contact_rest_mm, table.contact, table.contact_depth_mm, table.background,
-                image, w, r, span[0], span[1], lane, lanes,
-            )  # fmt: skip
+        if t.is_response:
+            _shade_response(p, t, span, w, r, lane)
         else:
-            _shade_quadratic(
-                height_mm, table.mm_per_px, table.nodes, table.n_slope, table.n_direction,
-                table.per_slope, table.per_direction, table.interpolates, table.background,
-                image, w, r, span[0], span[1], lane, lanes,
-            )  # fmt: skip
+            _shade_quadratic(p, t, span, w, r, lane)
 
 
-# Shadows -----------------------------------------------------------------------------------------
+# Shadows, and the picture ------------------------------------------------------------------------
 
 
 @wp.struct
@@ -1104,56 +947,56 @@ class Lights:
     rise_mm: Floats
     share: Map2
     unlit: Map3
-    slope: wp.float32
+    per_depth_px: wp.float32
+    per_mm: wp.float32
+    turned_mm: Map3
+    hidden: Map3
+    met: Map4
 
 
 @wp.func
-def seen(changed: wp.vec4i, deep_mm: wp.float32, lights: Lights, mm_per_px: wp.float32, h: int, w: int):
+def seen(p: Worlds, lights: Lights, w: int) -> wp.vec4i:
     """The window of a world that may differ from the picture at rest."""
     margin = int(1)
     if lights.n > 0:
-        margin += int(wp.ceil(deep_mm / lights.slope / mm_per_px)) + 1
-    return grown(changed, margin, 1, h, w)
+        margin += int(wp.ceil(p.relief_mm[w] * lights.per_depth_px)) + 1
+    return grown(p.changed[w], margin, 1, p.height_mm.shape[1], p.height_mm.shape[2])
 
 
 @_native("""
-    const float* row = &wp::index(height_mm, w, r, 0);
-    TACGEN_ALONG(left, right) wp::index(turned_mm, w, c, r) = row[c];
+    const int lanes = p.lanes;
+    const float* row = &wp::index(p.height_mm, w, r, 0);
+    TACGEN_ALONG(window[2], window[3]) wp::index(turned_mm, w, c, r) = row[c];
 """)
-def _turn(
-    height_mm: Map3, left: int, right: int, turned_mm: Map3, w: int, r: int, lane: int, lanes: int
-): ...
+def _turn(p: Worlds, window: wp.vec4i, turned_mm: Map3, w: int, r: int, lane: int): ...
 
 
 @wp.kernel
-def turn(
-    height_mm: Map3, changed: Windows, relief_mm: Floats, lights: Lights, mm_per_px: wp.float32,
-    lanes: int, turned_mm: Map3,
-):  # fmt: skip
+def turn(p: Worlds, lights: Lights):
     """The height with rows and columns exchanged."""
     w, r, lane = wp.tid()
-    window = seen(
-        changed[w], relief_mm[w], lights, mm_per_px, height_mm.shape[1], height_mm.shape[2]
-    )
+    window = seen(p, lights, w)
     if r >= window[0] and r < window[1]:
-        _turn(height_mm, window[2], window[3], turned_mm, w, r, lane, lanes)
+        _turn(p, window, lights.turned_mm, w, r, lane)
 
 
 @_native("""
-    // The lowest relief met on the way from the light, lifted by the ray's rise, goes along from row
-    // to row: what is above it is hidden.
+    // The lowest relief met on the way from the light, lifted by the ray's rise, goes along from
+    // row to row: what is above it is hidden.
+    const float across_px = wp::index(l.across_px, led), per_mm = l.per_mm;
     const float weight = fabsf(across_px), stay = 1.0f - weight;
-    const int side = across_px >= 0.0f ? 1 : -1, width = right - left, n_rows = bottom - top;
-    TACGEN_ALONG(0, width + 2) wp::index(met, w, led, 0, c) = wp::index(met, w, led, 1, c) = 1e6f;
+    const int side = across_px >= 0.0f ? 1 : -1, width = right - left;
+    TACGEN_ALONG(0, width + 2)
+        wp::index(l.met, w, led, 0, c) = wp::index(l.met, w, led, 1, c) = 1e6f;
     TACGEN_SYNC;
-    for (int i = 0; i < n_rows; i++) {
-        const int r = is_downwards ? top + i : bottom - 1 - i;
+    for (int i = 0; i < bottom - top; i++) {
+        const int r = wp::index(l.is_downwards, led) ? top + i : bottom - 1 - i;
         const float* row = &wp::index(relief, w, r, left);
-        float* __restrict out = &wp::index(hidden, w, led, r * relief.shape[2] + left);
-        const float* centre = &wp::index(met, w, led, i % 2, 1);
+        float* __restrict out = &wp::index(l.hidden, w, led, r * relief.shape[2] + left);
+        const float* centre = &wp::index(l.met, w, led, i % 2, 1);
         const float* aside = centre + side;
-        float* __restrict after = &wp::index(met, w, led, 1 - i % 2, 1);
-        const float lift = i > 0 ? rise : 0.0f;
+        float* __restrict after = &wp::index(l.met, w, led, 1 - i % 2, 1);
+        const float lift = i > 0 ? wp::index(l.rise_mm, led) : 0.0f;
         TACGEN_ALONG(0, width) {
             const float level = (stay * centre[c] + weight * aside[c]) + lift;
             const float shade = (row[c] - level) * per_mm;
@@ -1164,83 +1007,69 @@ def turn(
     }
 """)
 def _sweep(
-    relief: Map3, top: int, bottom: int, left: int, right: int, across_px: wp.float32,
-    rise: wp.float32, is_downwards: int, per_mm: wp.float32, met: Map4, hidden: Map3,
-    w: int, led: int, lane: int, lanes: int,
+    relief: Map3, l: Lights, top: int, bottom: int, left: int, right: int, w: int, led: int,
+    lane: int, lanes: int,
 ): ...  # fmt: skip
 
 
 @wp.kernel
-def sweep(
-    height_mm: Map3, turned_mm: Map3, changed: Windows, relief_mm: Floats, lights: Lights,
-    mm_per_px: wp.float32, per_mm: wp.float32, lanes: int, met: Map4, hidden: Map3,
-):  # fmt: skip
+def sweep(p: Worlds, lights: Lights, lanes: int):
     """How much of each light is hidden from each pixel."""
     w, led, lane = wp.tid()
-    p = seen(changed[w], relief_mm[w], lights, mm_per_px, height_mm.shape[1], height_mm.shape[2])
-    across, rise, down = lights.across_px[led], lights.rise_mm[led], lights.is_downwards[led]
-    if p[0] < p[1]:
+    s = seen(p, lights, w)
+    if s[0] < s[1]:
         if lights.is_turned[led] > 0:
-            _sweep(
-                turned_mm, p[2], p[3], p[0], p[1], across, rise, down, per_mm, met, hidden,
-                w, led, lane, lanes,
-            )  # fmt: skip
+            _sweep(lights.turned_mm, lights, s[2], s[3], s[0], s[1], w, led, lane, lanes)
         else:
-            _sweep(
-                height_mm, p[0], p[1], p[2], p[3], across, rise, down, per_mm, met, hidden,
-                w, led, lane, lanes,
-            )  # fmt: skip
-
-
-# The picture -------------------------------------------------------------------------------------
+            _sweep(p.height_mm, lights, s[0], s[1], s[2], s[3], w, led, lane, lanes)
 
 
 @_native("""
-    // The row of the picture: at rest outside the columns seen, else lit, hidden, noisy and rounded.
-    const int height = rest_rgb.shape[0], width = rest_rgb.shape[1];
-    wp::uint8* out = &wp::index(rgb, world, r, 0, 0);
-    const wp::uint8* still = &wp::index(rest_rgb, r, 0, 0);
-    const float* rest = &wp::index(rest_image, r, 0, 0);
-    const float* rest_lit = &wp::index(lit_at_rest, r, 0, 0);
-    float* lit = &wp::index(image, w, r, 0, 0);
-    const bool is_seen = r >= top && r < bottom;
-    for (int c0 = lane * TILE, n; n = wp::min(TILE, width - c0), c0 < width; c0 += lanes * TILE) {
-        const bool is_plain = !is_seen || c0 + n <= left || c0 >= right;
-        if (is_plain && sigma <= 0.0f) {
+    // At rest outside the columns seen, else lit, hidden, noisy and rounded.
+    const int lanes = p.lanes, height = p.rgb_at_rest.shape[0], width = p.rgb_at_rest.shape[1];
+    const int world = p.start + w;
+    wp::uint8* out = &wp::index(p.rgb, world, r, 0, 0);
+    const wp::uint8* still = &wp::index(p.rgb_at_rest, r, 0, 0);
+    const float* rest = &wp::index(p.image_at_rest, r, 0, 0);
+    const float* rest_lit = &wp::index(p.lit_at_rest, r, 0, 0);
+    const float* lit = &wp::index(p.image, w, r, 0, 0);
+    const bool is_row = r >= window[0] && r < window[1];
+    const float sigma = p.noise_grey;
+    TACGEN_TILES(0, width) {
+        const bool is_still = !is_row || c0 + n <= window[2] || c0 >= window[3];
+        if (is_still && sigma <= 0.0f) {
             for (int i = 3 * c0; i < 3 * (c0 + n); i++) out[i] = still[i];
             continue;
         }
         float grey[3 * TILE];
         for (int i = 0; i < 3 * n; i++) grey[i] = rest[3 * c0 + i];
-        if (!is_plain) {
-            const int from = wp::max(left - c0, 0), to = wp::min(right - c0, n);
-            for (int i = 3 * from; i < 3 * to; i++) grey[i] = rest_lit[3 * c0 + i];
-            const int lit_from = wp::max(first - c0, 0), lit_to = wp::min(last - c0, n);
-            for (int i = 3 * lit_from; i < 3 * lit_to; i++) grey[i] = lit[3 * c0 + i];
-            for (int led = 0; led < n_leds; led++) {
-                const float* dark = &wp::index(hidden, w, led, 0);
-                const float* unlit_here = &wp::index(unlit, r, c0, 0);
-                const float* shares = &wp::index(share, led, 0);
-                float part[TILE], darkest = 0.0f;
-                if (wp::index(turned, led) > 0)
-                    for (int i = from; i < to; i++) part[i] = dark[(c0 + i) * height + r];
-                else
-                    for (int i = from; i < to; i++) part[i] = dark[r * width + c0 + i];
-                for (int i = from; i < to; i++) darkest = part[i] > darkest ? part[i] : darkest;
-                for (int i = from; i < to && darkest > 0.0f; i++)
-                    for (int j = 0; j < 3; j++) {
-                        const float light = grey[3 * i + j] - unlit_here[3 * i + j];
-                        grey[3 * i + j] -= shares[j] * part[i] * (light > 0.0f ? light : 0.0f);
-                    }
-            }
+        const int from = is_still ? n : wp::max(window[2] - c0, 0), to = wp::min(window[3] - c0, n);
+        for (int i = 3 * from; i < 3 * to; i++) grey[i] = rest_lit[3 * c0 + i];
+        const int lit_from = wp::max(span[0] - c0, 0), lit_to = wp::min(span[1] - c0, n);
+        for (int i = 3 * lit_from; i < 3 * lit_to; i++) grey[i] = lit[3 * c0 + i];
+        for (int led = 0; led < l.n && from < to; led++) {
+            const float* dark = &wp::index(l.hidden, w, led, 0);
+            const float* unlit = &wp::index(l.unlit, r, c0, 0);
+            const float* share = &wp::index(l.share, led, 0);
+            float part[TILE], darkest = 0.0f;
+            if (wp::index(l.is_turned, led))
+                for (int i = from; i < to; i++) part[i] = dark[(c0 + i) * height + r];
+            else
+                for (int i = from; i < to; i++) part[i] = dark[r * width + c0 + i];
+            for (int i = from; i < to; i++) darkest = part[i] > darkest ? part[i] : darkest;
+            for (int i = from; i < to && darkest > 0.0f; i++)
+                for (int j = 0; j < 3; j++) {
+                    const float light = grey[3 * i + j] - unlit[3 * i + j];
+                    grey[3 * i + j] -= share[j] * part[i] * (light > 0.0f ? light : 0.0f);
+                }
         }
-        if (sigma > 0.0f)
-            for (int i = 0; i < 3 * n; i++) {  // a hash of what the value is, for 12 random bits
-                wp::uint32 x = seed + 0x9E3779B9u * (3u * ((wp::uint32)(world * height + r) * width + c0) + i);
-                x = (x ^ (x >> 16)) * 0x7FEB352Du;
-                x = (x ^ (x >> 15)) * 0x846CA68Bu;
-                grey[i] += sigma * wp::index(quantiles, (int)((x ^ (x >> 16)) >> 20));
-            }
+        const wp::uint32 first = 3u * ((wp::uint32)(world * height + r) * width + c0);
+        for (int i = 0; i < 3 * n && sigma > 0.0f; i++) {  // 12 random bits: a hash of the place
+            wp::uint32 x = seed + 0x9E3779B9u * (first + i);
+            x = (x ^ (x >> 16)) * 0x7FEB352Du;
+            x = (x ^ (x >> 15)) * 0x846CA68Bu;
+            grey[i] += sigma * wp::index(p.quantiles, (int)((x ^ (x >> 16)) >> 20));
+        }
         for (int i = 0; i < 3 * n; i++) {
             const float level = grey[i] + 0.5f;
             out[3 * c0 + i] = (wp::uint8)(int)(level < 0.0f ? 0.0f : level > 255.0f ? 255.0f : level);
@@ -1248,40 +1077,23 @@ def sweep(
     }
 """)
 def _expose(
-    image: Map4, lit_at_rest: Map3, rest_image: Map3, rest_rgb: wp.array3d(dtype=wp.uint8),
-    top: int, bottom: int, left: int, right: int, first: int, last: int, n_leds: int, turned: Ints,
-    share: Map2, unlit: Map3, hidden: Map3, sigma: wp.float32, quantiles: Floats, seed: wp.uint32,
-    rgb: wp.array4d(dtype=wp.uint8), world: int, w: int, r: int, lane: int, lanes: int,
+    p: Worlds, l: Lights, window: wp.vec4i, span: wp.vec2i, seed: wp.uint32, w: int, r: int,
+    lane: int,
 ): ...  # fmt: skip
 
 
-@wp.struct
-class AtRest:
-    """Pictures of the gel at rest: lit, and finished; float, and rounded. And the camera's noise."""
-
-    lit: Map3
-    image: Map3
-    rgb: wp.array3d(dtype=wp.uint8)
-    sigma: wp.float32
-    quantiles: Floats
-
-
 @wp.kernel
-def expose(
-    image: Map4, spans: Ints3, changed: Windows, relief_mm: Floats, at_rest: AtRest, lights: Lights,
-    mm_per_px: wp.float32, hidden: Map3, seed: wp.uint32, start: int, lanes: int,
-    rgb: wp.array4d(dtype=wp.uint8),
-):  # fmt: skip
-    """The pictures (N, H, W, 3)."""
+def expose(p: Worlds, lights: Lights, seed: wp.uint32):
+    """The pictures."""
     w, r, lane = wp.tid()
-    height, width = at_rest.rgb.shape[0], at_rest.rgb.shape[1]
-    p = seen(changed[w], relief_mm[w], lights, mm_per_px, height, width)
-    span = lit_span(spans, w, r, width)
-    left, right = p[2], p[3]
+    window = seen(p, lights, w)
+    span = lit_span(p.spans, w, r, p.height_mm.shape[2])
     if lights.n == 0:
-        left, right = span[0], span[1]
-    _expose(
-        image, at_rest.lit, at_rest.image, at_rest.rgb, p[0], p[1], left, right, span[0], span[1],
-        lights.n, lights.is_turned, lights.share, lights.unlit, hidden, at_rest.sigma,
-        at_rest.quantiles, seed, rgb, start + w, w, r, lane, lanes,
-    )  # fmt: skip
+        window = wp.vec4i(window[0], window[1], span[0], span[1])
+    _expose(p, lights, window, span, seed, w, r, lane)
+
+
+TOUCH = {dtype: wp.overload(first_touch, {"gap_mm": wp.array3d(dtype=dtype)}) for dtype in
+         (wp.float32, wp.float64)}  # fmt: skip
+GRAINS = {dtype: wp.overload(to_grains, {"gap_mm": wp.array3d(dtype=dtype)}) for dtype in
+          (wp.float32, wp.float64)}  # fmt: skip

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     import warp as wp
 
 
+FIELDS = ("rgb", "depth_mm", "contact_mask", "indentation_mm", "saturated")
+
+
 @dataclass(frozen=True, slots=True)
 class BatchFrame:
     """What the sensors of all worlds show, in arrays of the library that the input came from.
@@ -265,5 +268,5 @@ class BatchSensor:
         drawn = self._renderer
         if problem := drawn.problem():
             raise ContactError(problem)
-        found = (drawn.rgb, drawn.depth_mm, drawn.contact_mask, drawn.indentation_mm, drawn.saturated)
+        found = [getattr(drawn.worlds, name) for name in FIELDS]
         return BatchFrame(*(self._arrays.as_kind(one, kind) for one in found))
