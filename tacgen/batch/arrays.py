@@ -45,8 +45,8 @@ def as_warp(
             array = array.detach()
         try:
             found = wp.from_dlpack(array)
-        except (TypeError, RuntimeError, BufferError) as error:
-            msg = f"{name}: Warp cannot read this {type(array).__name__} ({error}); convert it"
+        except (TypeError, ValueError, RuntimeError, BufferError) as error:
+            msg = f"{name} cannot be read on {device} ({error}); move it there, or convert it"
             raise SensorError(msg) from None
     else:
         msg = f"{name} is a {type(array).__name__}; give a torch, JAX, Warp or NumPy array"
@@ -67,6 +67,9 @@ def _from_list(values: Any, name: str, shape: tuple[int, ...], dtype: str) -> np
     """A number for all worlds alike, or a list of one for each."""
     try:
         array = np.asarray(values, dtype)
+        if not np.array_equal(array, np.asarray(values), equal_nan=dtype.startswith("float")):
+            msg = f"{values!r:.60} are no {dtype}"
+            raise ValueError(msg)
         return np.full(shape, array) if array.ndim == 0 else array
     except (TypeError, ValueError) as error:
         msg = f"{name}: {error}; give an array of shape {shape}"

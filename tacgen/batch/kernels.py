@@ -1,4 +1,6 @@
-"""The kernels of a batch: one source in Warp for the CPU and for CUDA.
+# mypy: ignore-errors
+# ruff: noqa: UP018, RUF046
+"""The kernels of a batch: one source in Warp, whose types are not Python's, for CPU and CUDA.
 
 A thread works on one row of one world: on the CPU on all of it, where the compiler makes vectors of
 its inner loops, on a GPU on every n-th pixel, where neighbouring threads read neighbouring pixels.
@@ -11,7 +13,6 @@ Windows are (top, bottom, left, right). A kernel's first index counts the B worl
 the batch, which begins at world ``start``.
 """
 
-# ruff: noqa: N801
 from typing import Any
 
 import warp as wp
@@ -151,7 +152,9 @@ def check_poses(poses: wp.array3d(dtype=Any), tolerance: wp.float64, wrong: Ints
         for j in range(4):
             m[i, j] = wp.float64(poses[w, i, j])
             out[w, i, j] = m[i, j]
-    turn = wp.mat33d(m[0, 0], m[0, 1], m[0, 2], m[1, 0], m[1, 1], m[1, 2], m[2, 0], m[2, 1], m[2, 2])
+    turn = wp.mat33d(
+        m[0, 0], m[0, 1], m[0, 2], m[1, 0], m[1, 1], m[1, 2], m[2, 0], m[2, 1], m[2, 2]
+    )
     off = wp.transpose(turn) * turn - wp.identity(3, dtype=wp.float64)
     worst = wp.abs(m[3, 3] - wp.float64(1.0))
     is_finite = bool(True)
@@ -357,7 +360,7 @@ def _to_grains(
 
 @wp.kernel
 def to_grains(gap_mm: wp.array3d(dtype=Any), start: int, clears: bool, p: Worlds):
-    """Gaps of each world beyond first touch, in whole grains; ``clears`` makes the map new again."""
+    """Gaps of each world beyond first touch, in grains; ``clears`` makes the map new again."""
     w, r, lane = wp.tid()
     _to_grains(gap_mm, p, clears, start + w, w, r, lane)
 
@@ -672,7 +675,9 @@ def _blur_down(
         }
     }
 """)
-def _double(source: Map3, window: wp.vec4i, target: Map3, w: int, r: int, lane: int, lanes: int): ...
+def _double(
+    source: Map3, window: wp.vec4i, target: Map3, w: int, r: int, lane: int, lanes: int
+): ...
 
 
 @wp.kernel
@@ -833,7 +838,8 @@ _SLOPES = """
             angle = y < 0.0f ? -angle : angle; \\
             const float slope = arc(sqrtf(x * x + y * y), 1.0f) * per_slope; \\
             const float turn = (angle + 3.14159265f) * per_direction; \\
-            const int k = wp::min((int)slope, last_slope), l = wp::min((int)turn, n_direction - 1); \\
+            const int k = wp::min((int)slope, last_slope); \\
+            const int l = wp::min((int)turn, n_direction - 1); \\
             p1[i] = interpolates * wp::min(slope - k, 1.0f); \\
             q1[i] = interpolates * wp::min(turn - l, 1.0f); \\
             node[i] = (k * (n_direction + 1) + l) * node_floats; \\
@@ -983,20 +989,20 @@ def turn(p: Worlds, lights: Lights):
 @_native("""
     // The lowest relief met on the way from the light, lifted by the ray's rise, goes along from
     // row to row: what is above it is hidden.
-    const float across_px = wp::index(l.across_px, led), per_mm = l.per_mm;
+    const float across_px = wp::index(lights.across_px, led), per_mm = lights.per_mm;
     const float weight = fabsf(across_px), stay = 1.0f - weight;
     const int side = across_px >= 0.0f ? 1 : -1, width = right - left;
     TACGEN_ALONG(0, width + 2)
-        wp::index(l.met, w, led, 0, c) = wp::index(l.met, w, led, 1, c) = 1e6f;
+        wp::index(lights.met, w, led, 0, c) = wp::index(lights.met, w, led, 1, c) = 1e6f;
     TACGEN_SYNC;
     for (int i = 0; i < bottom - top; i++) {
-        const int r = wp::index(l.is_downwards, led) ? top + i : bottom - 1 - i;
+        const int r = wp::index(lights.is_downwards, led) ? top + i : bottom - 1 - i;
         const float* row = &wp::index(relief, w, r, left);
-        float* __restrict out = &wp::index(l.hidden, w, led, r * relief.shape[2] + left);
-        const float* centre = &wp::index(l.met, w, led, i % 2, 1);
+        float* __restrict out = &wp::index(lights.hidden, w, led, r * relief.shape[2] + left);
+        const float* centre = &wp::index(lights.met, w, led, i % 2, 1);
         const float* aside = centre + side;
-        float* __restrict after = &wp::index(l.met, w, led, 1 - i % 2, 1);
-        const float lift = i > 0 ? wp::index(l.rise_mm, led) : 0.0f;
+        float* __restrict after = &wp::index(lights.met, w, led, 1 - i % 2, 1);
+        const float lift = i > 0 ? wp::index(lights.rise_mm, led) : 0.0f;
         TACGEN_ALONG(0, width) {
             const float level = (stay * centre[c] + weight * aside[c]) + lift;
             const float shade = (row[c] - level) * per_mm;
@@ -1007,7 +1013,7 @@ def turn(p: Worlds, lights: Lights):
     }
 """)
 def _sweep(
-    relief: Map3, l: Lights, top: int, bottom: int, left: int, right: int, w: int, led: int,
+    relief: Map3, lights: Lights, top: int, bottom: int, left: int, right: int, w: int, led: int,
     lane: int, lanes: int,
 ): ...  # fmt: skip
 
@@ -1047,12 +1053,12 @@ def sweep(p: Worlds, lights: Lights, lanes: int):
         for (int i = 3 * from; i < 3 * to; i++) grey[i] = rest_lit[3 * c0 + i];
         const int lit_from = wp::max(span[0] - c0, 0), lit_to = wp::min(span[1] - c0, n);
         for (int i = 3 * lit_from; i < 3 * lit_to; i++) grey[i] = lit[3 * c0 + i];
-        for (int led = 0; led < l.n && from < to; led++) {
-            const float* dark = &wp::index(l.hidden, w, led, 0);
-            const float* unlit = &wp::index(l.unlit, r, c0, 0);
-            const float* share = &wp::index(l.share, led, 0);
+        for (int led = 0; led < lights.n && from < to; led++) {
+            const float* dark = &wp::index(lights.hidden, w, led, 0);
+            const float* unlit = &wp::index(lights.unlit, r, c0, 0);
+            const float* share = &wp::index(lights.share, led, 0);
             float part[TILE], darkest = 0.0f;
-            if (wp::index(l.is_turned, led))
+            if (wp::index(lights.is_turned, led))
                 for (int i = from; i < to; i++) part[i] = dark[(c0 + i) * height + r];
             else
                 for (int i = from; i < to; i++) part[i] = dark[r * width + c0 + i];
@@ -1072,12 +1078,12 @@ def sweep(p: Worlds, lights: Lights, lanes: int):
         }
         for (int i = 0; i < 3 * n; i++) {
             const float level = grey[i] + 0.5f;
-            out[3 * c0 + i] = (wp::uint8)(int)(level < 0.0f ? 0.0f : level > 255.0f ? 255.0f : level);
+            out[3 * c0 + i] = (wp::uint8)(int)wp::clamp(level, 0.0f, 255.0f);
         }
     }
 """)
 def _expose(
-    p: Worlds, l: Lights, window: wp.vec4i, span: wp.vec2i, seed: wp.uint32, w: int, r: int,
+    p: Worlds, lights: Lights, window: wp.vec4i, span: wp.vec2i, seed: wp.uint32, w: int, r: int,
     lane: int,
 ): ...  # fmt: skip
 
@@ -1093,7 +1099,14 @@ def expose(p: Worlds, lights: Lights, seed: wp.uint32):
     _expose(p, lights, window, span, seed, w, r, lane)
 
 
-TOUCH = {dtype: wp.overload(first_touch, {"gap_mm": wp.array3d(dtype=dtype)}) for dtype in
-         (wp.float32, wp.float64)}  # fmt: skip
-GRAINS = {dtype: wp.overload(to_grains, {"gap_mm": wp.array3d(dtype=dtype)}) for dtype in
-          (wp.float32, wp.float64)}  # fmt: skip
+def _of_types(kernel: Any, argument: str, ndim: int, *dtypes: Any) -> dict[Any, Any]:
+    """The kernel for arrays of these types: compiled together, and found without a search."""
+    arrays = {dtype: {argument: wp.array(dtype=dtype, ndim=ndim)} for dtype in dtypes}
+    return {dtype: wp.overload(kernel, given) for dtype, given in arrays.items()}
+
+
+FIRST_TOUCH = _of_types(first_touch, "gap_mm", 3, wp.float32, wp.float64)
+TO_GRAINS = _of_types(to_grains, "gap_mm", 3, wp.float32, wp.float64)
+CHECK_FORCE = _of_types(check_force, "force_n", 1, wp.float32, wp.float64)
+CHECK_POSES = _of_types(check_poses, "poses", 3, wp.float32, wp.float64)
+CHECK_IDS = _of_types(check_ids, "ids", 1, wp.int32, wp.int64)

@@ -24,8 +24,13 @@ from tacgen.core.noise import CameraNoise
 from tacgen.core.records import Mesh
 from tacgen.core.records import Sensor as Description
 from tacgen.optics import shade
-from tacgen.optics.deform import FINAL_SIGMA_MM, FIRM_CONTACT, NEGLIGIBLE_MM, PYRAMID_SIGMA_MM
-from tacgen.optics.deform import Deformer
+from tacgen.optics.deform import (
+    FINAL_SIGMA_MM,
+    FIRM_CONTACT,
+    NEGLIGIBLE_MM,
+    PYRAMID_SIGMA_MM,
+    Deformer,
+)
 from tacgen.optics.effects import with_cast_shadows
 from tacgen.optics.effects.shadow import DEFAULT_STRENGTH, PENUMBRA_MM, SHADOW
 from tacgen.optics.image_models import Quadratic, Response
@@ -146,7 +151,11 @@ class BatchRenderer:
         elif isinstance(model, Response):
             nodes = shade.packed_response(model.response)
             ready.node_rows, ready.node_columns, ready.n_slope = nodes.shape[:3]
-            ready.n_direction, ready.is_response, ready.interpolates = nodes.shape[3] - 1, True, True
+            ready.n_direction, ready.is_response, ready.interpolates = (
+                nodes.shape[3] - 1,
+                True,
+                True,
+            )
             contact = np.zeros((nodes.shape[0], 12 * nodes.shape[1]), np.float32)
             rest_mm = np.full(shape, -np.inf, np.float32)  # no pixel is deeper
             if model.contact is not None:
@@ -207,9 +216,7 @@ class BatchRenderer:
                 raise SensorError(msg)
             reach += blur.reach_px
             margin, halvings = min(reach, self._margin), blur.factor.bit_length() - 1
-            self._stages.append(
-                (self._put(blur.kernel, wp.float32), halvings, blur.factor, margin)
-            )
+            self._stages.append((self._put(blur.kernel, wp.float32), halvings, blur.factor, margin))
         self._levels, (h, w) = [self.worlds.surface], (self.height, self.width)
         for _ in range(2):
             h, w = (h + 1) // 2 + 4, (w + 1) // 2 + 4
@@ -218,8 +225,8 @@ class BatchRenderer:
 
     # Launches ------------------------------------------------------------------------------------
 
-    def _launch(self, kernel: Any, *dim: int, inputs: Any, block: int = 256) -> None:
-        wp.launch(kernel, dim=dim, inputs=inputs, device=self.device, block_dim=block)
+    def _launch(self, kernel: Any, *dim: int, inputs: Any) -> None:
+        wp.launch(kernel, dim=dim, inputs=inputs, device=self.device, block_dim=self._block)
 
     def _rows(self, kernel: Any, *inputs: Any) -> None:
         """A kernel for every row of the worlds at work."""
@@ -231,7 +238,7 @@ class BatchRenderer:
 
     def _blocks(self, kernel: Any, *inputs: Any) -> None:
         """A kernel of one block of threads for each of the worlds at work."""
-        self._launch(kernel, self._count, self._block, inputs=inputs, block=self._block)
+        self._launch(kernel, self._count, self._block, inputs=inputs)
 
     def parts(self) -> Iterator[int]:
         """The first world of each part of the batch, which is then at work."""
@@ -243,7 +250,7 @@ class BatchRenderer:
     def ask(self, force_n: wp.array, factor: float) -> None:
         """What the law asks of each gel by its force: volume in pixels × grains, or δ in grains."""
         inputs = force_n, wp.float64(factor), self.worlds
-        self._launch(k.check_force, self.n, inputs=inputs)
+        self._launch(k.CHECK_FORCE[force_n.dtype], self.n, inputs=inputs)
 
     def problem(self) -> str:
         """What is wrong with the input of the last frames; empty if nothing is."""
@@ -303,9 +310,9 @@ class BatchRenderer:
         """What ``indent_meshes`` then draws: the mesh of each world and where it is."""
         self._meshes = self._meshes or self._prepare_meshes()
         m, wrong = self._meshes, self.worlds.wrong
-        self._launch(k.check_ids, self.n, inputs=[ids, self.n_meshes, wrong, m.ids])
+        self._launch(k.CHECK_IDS[ids.dtype], self.n, inputs=[ids, self.n_meshes, wrong, m.ids])
         tolerance = wp.float64(ROTATION_TOLERANCE)
-        self._launch(k.check_poses, self.n, inputs=[poses, tolerance, wrong, m.poses])
+        self._launch(k.CHECK_POSES[poses.dtype], self.n, inputs=[poses, tolerance, wrong, m.poses])
 
     def indent_meshes(self, start: int, *, is_depth: bool) -> None:
         """Gap maps, δ and indentation of posed meshes, with what touches beside the window."""
@@ -335,14 +342,14 @@ class BatchRenderer:
 
     def _first_touch(self, gap_mm: wp.array, start: int, every: int) -> None:
         self.worlds.zero_mm.fill_(math.inf)
-        touch = k.TOUCH[gap_mm.dtype]
+        touch = k.FIRST_TOUCH[gap_mm.dtype]
         self._blocks(touch, gap_mm, start, every, self._block, self.worlds)
 
     def _indent(
         self, gap_mm: wp.array, start: int, beside: wp.array, *, is_depth: bool, clears: bool
     ) -> None:
         p = self.worlds
-        self._rows(k.GRAINS[gap_mm.dtype], gap_mm, start, clears, p)
+        self._rows(k.TO_GRAINS[gap_mm.dtype], gap_mm, start, clears, p)
         depth, weight = self._sensor.gel_depth_mm / GAP_GRAIN_MM, float(self._surround.pixels**2)
         self._blocks(k.solve, p, beside, weight, is_depth, depth, self._block)
         self._begin()
@@ -367,7 +374,7 @@ class BatchRenderer:
         if lights.n:
             self._rows(k.turn, p, lights)
             dim = self._count, lights.n, self._block
-            self._launch(k.sweep, *dim, inputs=[p, lights, self._block], block=self._block)
+            self._launch(k.sweep, *dim, inputs=[p, lights, self._block])
         self._rows(k.expose, p, lights, seed)
 
     def _deform(self) -> None:

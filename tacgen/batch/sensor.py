@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +22,6 @@ from tacgen.core.optional_dependencies import require_extra
 from tacgen.core.records import ContactFrame
 from tacgen.sensor.gel_response import GelCourse
 from tacgen.sensor.simulated import MeshLike, Sensor, as_mesh
-
-if TYPE_CHECKING:
-    import warp as wp
-
 
 FIELDS = ("rgb", "depth_mm", "contact_mask", "indentation_mm", "saturated")
 
@@ -131,7 +127,13 @@ class BatchSensor:
         return f"BatchSensor({self.description.name!r}, n={self.n}, device={str(self._device)!r})"
 
     def render(
-        self, gap_mm: Any, force_n: Any, shear_n: Any = None, turn: Any = None, *, time_s: Any = None
+        self,
+        gap_mm: Any,
+        force_n: Any,
+        shear_n: Any = None,
+        turn: Any = None,
+        *,
+        time_s: Any = None,
     ) -> BatchFrame:
         """The frames of objects of which the gaps to the gel at rest are known.
 
@@ -224,7 +226,9 @@ class BatchSensor:
 
     def _refuse_shear(self, shear_n: Any, turn: Any) -> None:
         for name, given in (("shear_n", shear_n), ("turn", turn)):
-            if given is not None and bool((np.asarray(given) if isinstance(given, list | tuple) else given != 0).any()):
+            if given is not None and bool(
+                (np.asarray(given) if isinstance(given, list | tuple) else given != 0).any()
+            ):
                 msg = f"{name} is not drawn in a batch yet; leave it out, or use tacgen.Sensor"
                 raise SensorError(msg)
 
@@ -238,7 +242,10 @@ class BatchSensor:
         factor = compliance.value if compliance is not None else 0.0
         if self.law.effects:
             asked = self._with_memory(force.numpy(), time_s)
-            force, factor = self._arrays.as_warp(asked, "force_n", (self.n,), self._device, numbers), 1.0
+            force, factor = (
+                self._arrays.as_warp(asked, "force_n", (self.n,), self._device, numbers),
+                1.0,
+            )
         self._renderer.ask(force, factor / (GAP_GRAIN_MM * per_unit))
         return is_depth
 

@@ -8,15 +8,17 @@ scene picture and without writing.
 
 import statistics
 import timeit
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe
 from tacgen.contact import gap_map, solve_indentation
+from tacgen.core.records import Mesh
 from tacgen.objects import load_object
 from tacgen.optics import load_table
 from tacgen.sensor.description import load_sensor
@@ -45,10 +47,45 @@ def run_benchmarks(repeats: int) -> Iterator[Figure]:
     yield from _grasp_figures(max(5, repeats // 3))
 
 
-def _frame_figures(repeats: int) -> Iterator[Figure]:
+def batch_figures(sizes: Sequence[int], device: str, repeats: int) -> Iterator[Figure]:
+    """Time a frame of batches of so many worlds, from posed meshes and from gap maps."""
+    import warp as wp  # its package is an extra, which BatchSensor asks for
+
+    from tacgen.batch.sensor import BatchSensor
+
+    surface, pose = _side_of_object()
+    for name in ("gelsight_mini", "gelsight"):
+        for n in sizes:
+            batch = BatchSensor(name, n, device)
+            batch.add_mesh(surface)
+            gap = gap_map(surface.vertices_mm, surface.faces, pose, batch.description)
+            where, dtype = {"device": device}, np.float64
+            force_n = FRAME_VOLUME_MM3 / batch.law.k_n_mm3_per_n.value
+            forces = wp.array(np.full(n, force_n), dtype=dtype, **where)
+            ids = wp.zeros(n, dtype=wp.int32, **where)
+            poses = wp.array(np.broadcast_to(pose, (n, 4, 4)).copy(), dtype=dtype, **where)
+            gaps = wp.array(np.broadcast_to(gap, (n, *gap.shape)).copy(), dtype=wp.float32, **where)
+            height, width = batch.description.shape_px
+            for what, frames in (
+                ("meshes", partial(batch.render_meshes, ids, poses, forces)),
+                ("gap maps", partial(batch.render, gaps, forces)),
+            ):
+                seconds = _median_s(frames, repeats) / n
+                key = f"batch_{what.split()[0]}_{n}_ms_{width}x{height}"
+                rate = f"{name}, {what}, {n} worlds on {device}: {1 / seconds:.0f} frames/s"
+                yield key, 1e3 * seconds, "ms", rate
+
+
+def _side_of_object() -> tuple[Mesh, NDArray[np.float64]]:
+    """An object that lies against the gel with its side."""
     surface = load_object(FRAME_OBJECT).surface
     pose = np.array(SIDE_POSE)
     pose[1, 3] = float(np.mean(surface.vertices_mm[:, 2]))
+    return surface, pose
+
+
+def _frame_figures(repeats: int) -> Iterator[Figure]:
+    surface, pose = _side_of_object()
     for name, sensor_name, shadows in (
         ("frame_ms_640x480", "gelsight", False),
         ("frame_shadow_ms_640x480", "gelsight", True),

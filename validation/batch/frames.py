@@ -1,0 +1,65 @@
+"""Frames of random grasps, drawn by a batch and by one sensor."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import trimesh
+
+import tacgen
+from tacgen.core.errors import ContactError
+
+
+class Difference(NamedTuple):
+    """Largest and mean difference in grey levels, largest in δ, and which frames differ else."""
+
+    most_grey: int
+    mean_grey: float
+    most_delta_mm: float
+    other: list[Any]
+
+
+Frame = tuple[int, Any, float]
+
+
+def random_frames(rng: np.random.Generator, meshes: Sequence[Any], n: int) -> list[Frame]:
+    """(mesh, pose, force) of n objects, turned anyhow, whose middle is near the gel's."""
+    frames = []
+    for _ in range(n):
+        mesh = int(rng.integers(len(meshes)))
+        pose = trimesh.transformations.random_rotation_matrix(rng.random(3))
+        middle_mm = np.asarray(meshes[mesh].vertices_mm).mean(axis=0)
+        pose[:3, 3] = rng.uniform((-5, -5, -40), (5, 5, 40)) - pose[:3, :3] @ middle_mm
+        frames.append((mesh, pose, float(rng.choice([0.05, 1.0, 8.0, 25.0, 200.0]))))
+    return frames
+
+
+def compare(
+    name: str,
+    meshes: Sequence[Any],
+    frames: Sequence[Frame],
+    *,
+    device: str = "cpu",
+    **options: Any,
+) -> Difference:
+    """The difference between a batch of frames and the same ones of ``Sensor``."""
+    sensor = tacgen.Sensor(name, **options)
+    batch = tacgen.BatchSensor(name, len(frames), device, **options)
+    for mesh in meshes:
+        batch.add_mesh(mesh)
+    ids, poses, force_n = (np.array(one) for one in zip(*frames, strict=True))
+    out = batch.render_meshes(ids, poses, force_n)
+    found, other = [], []
+    for k, (mesh, pose, force) in enumerate(frames):
+        try:
+            frame = sensor.render(meshes[mesh], pose, force)
+        except ContactError:  # beside the gel
+            assert not out.contact_mask[k].any()
+            continue
+        grey = np.abs(frame.rgb.astype(int) - out.rgb[k])
+        found.append((grey.max(), grey.mean(), abs(frame.indentation_mm - out.indentation_mm[k])))
+        is_same = np.array_equal(frame.contact_mask, out.contact_mask[k])
+        if not (is_same and frame.saturated == out.saturated[k]):
+            other.append((k, frame.status, frame.saturated, bool(out.saturated[k])))
+    most_grey, mean_grey, most_delta_mm = np.max(found, axis=0)
+    return Difference(int(most_grey), float(mean_grey), float(most_delta_mm), other)
