@@ -18,6 +18,8 @@ from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe
 from tacgen.contact import gap_map, solve_indentation
+from tacgen.core.errors import SensorError
+from tacgen.core.optional_dependencies import require_extra
 from tacgen.core.records import Mesh
 from tacgen.objects import load_object
 from tacgen.optics import load_table
@@ -27,6 +29,7 @@ from tacgen.sensor.tactile_pad import TactilePad
 
 FRAME_OBJECT = "tomato_soup_can"
 FRAME_VOLUME_MM3 = 40.0  # about what 8 N press into the default gel
+BATCHES, BATCH_FORCE_N = (1, 64, 1024), 8.0
 GRASP = {"force_n": 10.0, "x_mm": 0.0, "y_mm": 0.0, "z_mm": 60.0}
 SEQUENCE_FRAMES = 24  # of the default recipe
 SIDE_POSE = (
@@ -48,31 +51,34 @@ def run_benchmarks(repeats: int) -> Iterator[Figure]:
 
 
 def batch_figures(sizes: Sequence[int], device: str, repeats: int) -> Iterator[Figure]:
-    """Time a frame of batches of so many worlds, from posed meshes and from gap maps."""
-    import warp as wp  # its package is an extra, which BatchSensor asks for
+    """Time a frame of batches of so many worlds, from posed meshes and from gap maps.
+
+    Raises ``SensorError`` if Warp or the device is not there, or the memory does not suffice.
+    """
+    require_extra("batch", "batches of sensors need", SensorError)
+    import warp as wp
 
     from tacgen.batch.sensor import BatchSensor
 
+    wp.config.log_level = wp.LOG_WARNING  # what it logs goes where the figures go
     surface, pose = _side_of_object()
     for name in ("gelsight_mini", "gelsight"):
         for n in sizes:
             batch = BatchSensor(name, n, device)
             batch.add_mesh(surface)
-            gap = gap_map(surface.vertices_mm, surface.faces, pose, batch.description)
-            where, dtype = {"device": device}, np.float64
-            force_n = FRAME_VOLUME_MM3 / batch.law.k_n_mm3_per_n.value
-            forces = wp.array(np.full(n, force_n), dtype=dtype, **where)
-            ids = wp.zeros(n, dtype=wp.int32, **where)
-            poses = wp.array(np.broadcast_to(pose, (n, 4, 4)).copy(), dtype=dtype, **where)
-            gaps = wp.array(np.broadcast_to(gap, (n, *gap.shape)).copy(), dtype=wp.float32, **where)
+            one = gap_map(surface.vertices_mm, surface.faces, pose, batch.description)
+            gap_mm = wp.array(np.repeat(one[None], n, axis=0), dtype=wp.float32, device=device)
+            poses = wp.array(np.repeat(pose[None], n, axis=0), dtype=wp.float64, device=device)
+            ids = wp.zeros(n, dtype=wp.int32, device=device)
+            force_n = wp.full(n, BATCH_FORCE_N, dtype=wp.float32, device=device)
             height, width = batch.description.shape_px
             for what, frames in (
-                ("meshes", partial(batch.render_meshes, ids, poses, forces)),
-                ("gap maps", partial(batch.render, gaps, forces)),
+                ("meshes", partial(batch.render_meshes, ids, poses, force_n)),
+                ("gap maps", partial(batch.render, gap_mm, force_n)),
             ):
-                seconds = _median_s(frames, repeats) / n
-                key = f"batch_{what.split()[0]}_{n}_ms_{width}x{height}"
+                seconds = _median_s(frames, max(3, repeats // n)) / n
                 rate = f"{name}, {what}, {n} worlds on {device}: {1 / seconds:.0f} frames/s"
+                key = f"batch_{n}_{what.split()[0]}_ms_{width}x{height}"
                 yield key, 1e3 * seconds, "ms", rate
 
 
