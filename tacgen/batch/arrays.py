@@ -12,7 +12,10 @@ from tacgen.core.errors import SensorError
 def find_device(name: str) -> wp.Device:
     """The device of that name; a ``SensorError`` if Warp does not have it."""
     try:
-        return wp.get_device(name)
+        if not str(name).startswith("cuda") or wp.is_cuda_available():
+            return wp.get_device(name)
+        msg = f"device = {name!r} is not here: Warp finds no CUDA GPU; give device='cpu'"
+        raise SensorError(msg)
     except (ValueError, RuntimeError):
         known = ", ".join(str(one) for one in wp.get_devices())
         msg = f"device = {name!r} is not here (Warp sees {known}); give one of these, such as 'cpu'"
