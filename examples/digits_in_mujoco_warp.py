@@ -1,6 +1,6 @@
 """A DIGIT in each of 64 worlds of MuJoCo Warp, on the CPU or a GPU.
 
-`pip install mujoco-warp 'tacgen[batch]'`: `python examples/digits_in_mujoco_warp.py [PNG] [DEVICE]`.
+`pip install mujoco-warp 'tacgen[batch]'`, `python examples/digits_in_mujoco_warp.py [PNG] [DEVICE]`
 """
 
 import sys

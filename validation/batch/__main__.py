@@ -1,4 +1,4 @@
-"""Pictures of a batch against those of ``Sensor``: ``python -m validation.batch [FRAMES] [DEVICE]``.
+"""A batch against ``Sensor``: ``python -m validation.batch [FRAMES] [DEVICE]``.
 
 FRAMES (default 1000) of all shipped objects, turned anyhow, on every shipped sensor, with shadows
 and without; exit code 1 where one differs by more than 1 grey level, 0.05 on average, or 1e-6 mm.

@@ -57,7 +57,9 @@ def compare(
             assert not out.contact_mask[k].any()
             continue
         grey = np.abs(frame.rgb.astype(int) - out.rgb[k])
-        found.append((grey.max(), grey.mean(), abs(frame.indentation_mm - out.indentation_mm[k])))
+        found.append(
+            (grey.max(), grey.mean(), abs(frame.indentation_mm - float(out.indentation_mm[k])))
+        )
         is_same = np.array_equal(frame.contact_mask, out.contact_mask[k])
         if not (is_same and frame.saturated == out.saturated[k]):
             other.append((k, frame.status, frame.saturated, bool(out.saturated[k])))
