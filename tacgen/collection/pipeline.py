@@ -100,7 +100,13 @@ class GraspPipeline:
         ``rng`` draws the camera's noise.
         """
         frames, factor = grasp.trace.frames[pad], grasp.variation.k_n_factor
-        loads = gel_loads(law or self._law, frames, grasp_index=SETTLED_PRESS, k_n_factor=factor)
+        loads = gel_loads(
+            law or self._law,
+            frames,
+            grasp_index=SETTLED_PRESS,
+            k_n_factor=factor,
+            friction=grasp.grasped.friction,
+        )
         images = np.empty((len(frames), *self._pad.sensor.shape_px, 3), dtype=np.uint8)
         rendered: list[TactileFrame] = []
         before: tuple[NDArray[np.float64], GelLoad] | None = None
@@ -109,7 +115,8 @@ class GraspPipeline:
             if before and load == before[1] and np.array_equal(pose, before[0]):
                 imprint = rendered[-1].imprint
             else:
-                imprint = self._pad.press(grasp.grasped.surface, pose, load)
+                last = rendered[-1].imprint if rendered else None
+                imprint = self._pad.press(grasp.grasped.surface, pose, load, last)
             rendered.append(TactileFrame(self._pad.image(imprint, rng=rng, rgb=rgb), imprint))
             before = pose, load
         return images, rendered

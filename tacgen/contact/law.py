@@ -41,8 +41,16 @@ PLAIN_UNITS = {"normal": ("mm3", "mm3/N"), "shear": ("mm", "mm/N")}
 USUAL_K_S_MM_PER_N, USUAL_PITCH_MM = 1.0, 2.0
 """Assumed: summed motion a newton of markers so far apart; a press log with shear gives a sensor's
 own."""
+USUAL_FRICTION = 0.8
+"""Coulomb's coefficient of gel and object, where nothing says it."""
 
-_ESTIMATES = {"k_n_mm3_per_n": "mm3/N", "k_s_mm_per_n": "mm/N", "k_depth_mm_per_n": "mm/N"}
+_ESTIMATES = {
+    "k_n_mm3_per_n": "mm3/N",
+    "k_s_mm_per_n": "mm/N",
+    "k_depth_mm_per_n": "mm/N",
+    "friction": "",
+    "decay_mm": "mm",
+}
 
 
 def _estimate(given: Any) -> Any:
@@ -102,6 +110,8 @@ class ContactLaw:
     needs ``k_depth_mm_per_n``. k_s is NaN where shear was never measured. D is a sum over a grid of
     markers, of pitch ``marker_pitch_mm``: each stands for its square, and ∫ u dA is D times that.
     NaN where the pitch is not known: then D is the sum over whatever markers a sensor has.
+    ``friction`` is Coulomb's coefficient of gel and object, ``decay_mm`` how far beside a contact
+    the gel moves with it (``tacgen.contact.shear_field``); None where they were not measured.
     ``provenance`` holds hashes of the data, versions, trial counts, held-out error.
 
     Raises ``ContactError`` listing every parameter that is unknown, not finite or out of bounds.
@@ -114,6 +124,8 @@ class ContactLaw:
     effects: tuple[FittedEffect, ...] = ()
     k_depth_mm_per_n: Estimate | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    friction: Estimate | None = None
+    decay_mm: Estimate | None = None
 
     def __post_init__(self) -> None:
         ContactError.raise_if(_law_problems(self))
@@ -260,6 +272,10 @@ def _law_problems(law: ContactLaw) -> list[str]:
         problems.append(f"k_s_mm_per_n = {law.k_s_mm_per_n.value} is not a positive number")
     if not (math.isnan(law.marker_pitch_mm) or law.marker_pitch_mm > 0):
         problems.append(f"marker_pitch_mm = {law.marker_pitch_mm} is not a positive number")
+    for name in ("friction", "decay_mm"):
+        given = getattr(law, name)
+        if given is not None and not (math.isfinite(given.value) and given.value > 0):
+            problems.append(f"{name} = {given.value} is not a positive number")
     if law.law == "linear_depth":
         depth = law.k_depth_mm_per_n
         if depth is None or not (math.isfinite(depth.value) and depth.value > 0):
@@ -399,5 +415,7 @@ class LawFile(Section):
     k_s_mm_per_n: Given | None = None
     k_depth_mm_per_n: Given | None = None
     marker_pitch_mm: float = math.nan
+    friction: Given | None = None
+    decay_mm: Given | None = None
     effects: tuple[FittedEffect, ...] = ()
     provenance: dict[str, Any] = Field(default_factory=dict)

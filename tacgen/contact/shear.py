@@ -1,4 +1,4 @@
-"""From the sum of the markers' shear motion to how far the object has moved, and back."""
+"""The markers of a gel: where they are at rest, and how pressing and shearing moves them."""
 
 from dataclasses import dataclass
 
@@ -9,11 +9,10 @@ from tacgen.contact.raster import Float64
 from tacgen.core.compiled import njit
 from tacgen.core.records import Markers, Sensor
 
-SHEAR_DECAY_PER_MM2 = 0.0805
 DILATION_DECAY_PER_MM2 = 0.479
-"""How fast shear and dilation fall off with the square of the distance.
+"""How fast dilation falls off with the square of the distance.
 
-Source: Zhao et al. 2023, FOTS: λ_s = 0.00021 and λ_d = 0.00125 px⁻² at its 19.58 px/mm.
+Source: Zhao et al. 2023, FOTS: λ_d = 0.00125 px⁻² at its 19.58 px/mm.
 """
 DILATION_GAIN = 0.03
 """Sideways motion of the gel's surface around an indentation, per mm of depth and mm² of contact.
@@ -58,19 +57,6 @@ def marker_grid_mm(sensor: Sensor) -> Float64:
 
 
 @njit(cache=True, nogil=True)
-def _stick(points_mm: Float64, patch_mm: Float64, area_mm2: float, stick: Float64) -> None:
-    """The share (n,) of the object's motion that each point of the gel follows."""
-    x_mm, y_mm = points_mm[:, 0].copy(), points_mm[:, 1].copy()
-    nearest = np.full(len(x_mm), np.inf)
-    for j in range(patch_mm.shape[0]):
-        for i in range(nearest.shape[0]):
-            dx, dy = x_mm[i] - patch_mm[j, 0], y_mm[i] - patch_mm[j, 1]
-            nearest[i] = min(nearest[i], dx * dx + dy * dy)
-    for i in range(nearest.shape[0]):
-        stick[i] = np.exp(-SHEAR_DECAY_PER_MM2 * max(0.0, nearest[i] - area_mm2))
-
-
-@njit(cache=True, nogil=True)
 def _dilation(points_mm: Float64, patch_mm: Float64, weights_mm3: Float64, out: Float64) -> None:
     """Motion (n, 2) of each point away from the patch, for a gain of 1."""
     for i in range(points_mm.shape[0]):
@@ -84,50 +70,18 @@ def _dilation(points_mm: Float64, patch_mm: Float64, weights_mm3: Float64, out: 
         out[i, 0], out[i, 1] = along_x, along_y
 
 
-class MarkerField:
-    """The motion of points of the gel's surface around one contact patch.
+def dilation_mm(
+    points_mm: Float64,
+    patch_mm: NDArray[np.floating],
+    depth_mm: NDArray[np.floating],
+    area_mm2: float,
+) -> Float64:
+    """Motion (n, 2) of points of the gel's surface (n, 2) by an indentation alone.
 
-    ``points_mm`` (n, 2) are the points at rest; ``patch_mm`` (k, 2) are spread evenly over the
-    contact patch, gel frame, each indented by ``depth_mm`` (k,) and standing for ``area_mm2``.
+    ``patch_mm`` (k, 2) are spread evenly over the contact patch, gel frame, each indented by
+    ``depth_mm`` (k,) and standing for ``area_mm2``.
     """
-
-    def __init__(
-        self,
-        points_mm: Float64,
-        patch_mm: NDArray[np.floating],
-        depth_mm: NDArray[np.floating],
-        area_mm2: float,
-    ) -> None:
-        self._points_mm = np.ascontiguousarray(points_mm)
-        self._patch_mm = np.ascontiguousarray(patch_mm)
-        self._weights_mm3 = np.asarray(depth_mm, dtype=np.float64) * area_mm2
-        self.center_mm = np.average(patch_mm, axis=0, weights=np.maximum(depth_mm, 1e-12))
-        self._stick = np.empty(len(points_mm))
-        _stick(self._points_mm, self._patch_mm, area_mm2, self._stick)
-
-    def motion(self, shear_sum_mm: Float64, turn_sum_mm2: float = 0.0) -> ShearMotion:
-        """The motion of the object for which the field sums to what the law predicts.
-
-        ``shear_sum_mm`` (2,) is D, the sum of the points' shear motion; ``turn_sum_mm2`` the sum of
-        r × motion about the patch's centre: the same law, for a moment.
-
-        Source: Si et al. 2022, Eq. 3: D = k_s F_s.
-        """
-        arm = self._points_mm - self.center_mm
-        second = float((self._stick * (arm**2).sum(axis=1)).sum())
-        shift_mm = np.asarray(shear_sum_mm, dtype=np.float64) / max(self._stick.sum(), 1e-9)
-        return ShearMotion(shift_mm, turn_sum_mm2 / max(second, 1e-9), self.center_mm)
-
-    def shear_mm(self, motion: ShearMotion) -> Float64:
-        """Motion of each point (n, 2) that goes with the object."""
-        arm = self._points_mm - self.center_mm
-        turned = motion.turn_rad * np.stack([-arm[:, 1], arm[:, 0]], axis=1)
-        # A turn moves the far points by more than the shift: about the patch's own sum it is 0.
-        balance = (self._stick[:, None] * turned).sum(axis=0) / max(self._stick.sum(), 1e-9)
-        return np.asarray(self._stick[:, None] * (motion.shift_mm + turned - balance))
-
-    def displaced_mm(self, motion: ShearMotion) -> Float64:
-        """Where each point (n, 2) is: dilated by the indentation, sheared and turned."""
-        dilation = np.empty(self._points_mm.shape)
-        _dilation(self._points_mm, self._patch_mm, self._weights_mm3, dilation)
-        return self._points_mm + DILATION_GAIN * dilation + self.shear_mm(motion)
+    weights_mm3 = np.asarray(depth_mm, dtype=np.float64) * area_mm2
+    out = np.empty(points_mm.shape)
+    _dilation(np.ascontiguousarray(points_mm), np.ascontiguousarray(patch_mm), weights_mm3, out)
+    return DILATION_GAIN * out

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tacgen.contact import contact_depth, gel_map_mm, solve_indentation
 from tacgen.contact.gel import pixel_centers_mm
-from tacgen.contact.shear import MarkerField, marker_grid_mm
+from tacgen.contact.shear import dilation_mm, marker_grid_mm
 from tacgen.core.files import atomic_path, write_text
 from tacgen.core.images import encode_png
 from tacgen.core.records import Sensor
@@ -21,6 +21,8 @@ from tacgen.optics.virtual_sensor import VirtualSensor
 from tacgen.rig.effects import SessionTruth
 from tacgen.rig.rig_recipe import RigRecipe
 from tacgen.rig.schedule import CAMERA, press_rng
+from tacgen.sensor.gel_response import GelLoad
+from tacgen.sensor.gel_shear import GelShear
 
 Floats = NDArray[np.float64]
 
@@ -60,12 +62,20 @@ def press_ball(
     x_mm, y_mm = pixel_centers_mm(sensor)
     rows, columns = np.nonzero(depth)
     patch = np.stack([x_mm[columns], y_mm[rows]], axis=1)
-    field = MarkerField(points, patch, depth[rows, columns], sensor.pixel_area_mm2)
-    motion = field.motion(shear_sum_mm)
-    moved = (center_mm[0] + float(motion.shift_mm[0]), center_mm[1] + float(motion.shift_mm[1]))
-    if np.any(shear_sum_mm):
-        depth = _depth_of_ball(sensor, radius_mm, moved, volume_mm3)
-    return BallContact(depth, moved, field.displaced_mm(motion))
+    points_moved = points + dilation_mm(points, patch, depth[rows, columns], sensor.pixel_area_mm2)
+    load = GelLoad(volume_mm3, shear_sum_mm=shear_sum_mm)
+    gel, window = GelShear(sensor), (0, sensor.height_px, 0, sensor.width_px)
+    state = gel.step(depth.astype(np.float32), window, load, 1.0, None)
+    if state is None:
+        return BallContact(depth, center_mm, points_moved)
+    dots = gel.motion_mm(state, points, load)
+    # Dots sample the gel: what they sum to is the log's, to the last digit.
+    pulled = shear_sum_mm != 0.0
+    exact = np.divide(shear_sum_mm, dots.sum(axis=0), out=np.ones(2), where=pulled)
+    shift_mm = exact * gel.object_motion(state, load).shift_mm
+    moved = (center_mm[0] + float(shift_mm[0]), center_mm[1] + float(shift_mm[1]))
+    depth = _depth_of_ball(sensor, radius_mm, moved, volume_mm3)
+    return BallContact(depth, moved, points_moved + exact * dots)
 
 
 def _depth_of_ball(

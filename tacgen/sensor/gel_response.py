@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.contact.effects.history import Memory
-from tacgen.contact.law import ContactLaw
+from tacgen.contact.law import USUAL_FRICTION, ContactLaw
 from tacgen.core.arrays import FloatArray
 from tacgen.core.records import ContactFrame
 
@@ -30,6 +30,11 @@ class GelLoad:
     moment about the gel's origin, from which that of the pull is to be taken. The sums are over
     markers of ``marker_pitch_mm``; 0: over the sensor's own, whatever they are. ``center_mm`` (2,)
     is the centre of pressure, None where it is not known; loads that differ in it alone are equal.
+
+    ``force_n`` (3,) is the force that this is the response to, along x, y and into the gel, None
+    where it is not known; ``k_s_mm_per_n`` the law's, 0 where it has none. Where the gel slips
+    under the object is told by ``friction``, how far its motion reaches by ``decay_mm``; None is
+    the sensor's own.
     """
 
     volume_mm3: float | None = None
@@ -39,6 +44,10 @@ class GelLoad:
     pull_sum_mm: tuple[float, float] = (0.0, 0.0)
     marker_pitch_mm: float = 0.0
     center_mm: tuple[float, float] | None = field(default=None, compare=False)
+    force_n: tuple[float, float, float] | None = None
+    k_s_mm_per_n: float = 0.0
+    friction: float = math.inf
+    decay_mm: float | None = None
 
     def turn_about_mm2(self, center_mm: FloatArray | tuple[float, float]) -> float:
         """The sum of r × motion about a patch whose middle is at ``center_mm`` (2,)."""
@@ -52,12 +61,14 @@ def gel_loads(
     *,
     grasp_index: int = 0,
     k_n_factor: float = 1.0,
+    friction: float | None = None,
 ) -> tuple[GelLoad, ...]:
     """The load on the gel at each of a grasp's frames.
 
     The history that the law sees is each frame's past; where it is not known, that of the frames
     before it, from a gel that the first of them finds at rest. ``grasp_index`` counts the grasps on
     this gel, so that a gel that is conditioned by its first presses is so in a dataset too.
+    ``friction`` is that of the object, else the law's.
     """
     alone = bool(law.effects) and any(frame.past is not None for frame in frames)
     normal, shear_mm = list[float](), list[FloatArray]()
@@ -69,7 +80,9 @@ def gel_loads(
         normal += response[-len(part) :].tolist()
         shear_mm += list(motion_mm[-len(part) :])
     rows = zip(frames, normal, shear_mm, strict=True)
-    return tuple(gel_load(law, frame, one * k_n_factor, shear) for frame, one, shear in rows)
+    return tuple(
+        gel_load(law, frame, one * k_n_factor, shear, friction) for frame, one, shear in rows
+    )
 
 
 class GelCourse:
@@ -108,7 +121,11 @@ class GelCourse:
 
 
 def gel_load(
-    law: ContactLaw, frame: ContactFrame, normal: float, shear_sum_mm: FloatArray
+    law: ContactLaw,
+    frame: ContactFrame,
+    normal: float,
+    shear_sum_mm: FloatArray,
+    friction: float | None = None,
 ) -> GelLoad:
     """The load of a frame from the law's responses; ``normal`` is a volume, or TACTO's depth."""
     k_s = 0.0 if math.isnan(law.k_s_mm_per_n.value) else law.k_s_mm_per_n.value
@@ -118,6 +135,9 @@ def gel_load(
         center_mm = float(frame.center_mm[0]), float(frame.center_mm[1])
         turn_mm2 += float(frame.center_mm[0]) * y - float(frame.center_mm[1]) * x
         pull_mm = x, y
+    if friction is None:
+        friction = USUAL_FRICTION if law.friction is None else law.friction.value
+    along_x, along_y = frame.force_shear_n
     is_depth = law.law == "linear_depth"
     return GelLoad(
         volume_mm3=None if is_depth else normal,
@@ -127,6 +147,10 @@ def gel_load(
         pull_sum_mm=pull_mm,
         marker_pitch_mm=0.0 if math.isnan(law.marker_pitch_mm) else law.marker_pitch_mm,
         center_mm=center_mm,
+        force_n=(float(along_x), float(along_y), float(frame.force_normal_n)),
+        k_s_mm_per_n=k_s,
+        friction=friction,
+        decay_mm=None if law.decay_mm is None else law.decay_mm.value,
     )
 
 
@@ -153,6 +177,12 @@ def rounded_pose_and_load(
         shear_sum_mm=(round(float(x_mm), 5), round(float(y_mm), 5)),
         turn_sum_mm2=round(load.turn_sum_mm2, 5),
         pull_sum_mm=(round(pull_x_mm, 5), round(pull_y_mm, 5)),
+        force_n=load.force_n
+        and (
+            round(load.force_n[0], 5),
+            round(load.force_n[1], 5),
+            round(load.force_n[2], 5),
+        ),
     )
 
 

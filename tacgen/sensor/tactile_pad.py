@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from tacgen.contact.gap import GAP_GRAIN_MM, GapMapper, ObjectGap
 from tacgen.contact.gel import gel_map_mm, gel_size_mm, pixel_centers_mm
 from tacgen.contact.indentation import solve_grains
-from tacgen.contact.shear import MarkerField, ShearMotion, marker_grid_mm, marker_pitch_mm
+from tacgen.contact.shear import ShearMotion, dilation_mm, marker_grid_mm
+from tacgen.contact.shear_field import ShearState, weighted
 from tacgen.core.arrays import FloatArray
 from tacgen.core.compiled import njit
 from tacgen.core.errors import SensorError, TableError
@@ -20,6 +21,7 @@ from tacgen.optics.smooth import Window
 from tacgen.optics.table import LookupTable
 from tacgen.sensor.description import no_markers
 from tacgen.sensor.gel_response import GelLoad
+from tacgen.sensor.gel_shear import GelShear
 
 _NONE = np.empty(0, np.int32)
 REACH_MARGIN = 1.25
@@ -44,7 +46,8 @@ class Imprint:
     ``indentation_mm`` is δ beyond first touch; ``saturated`` where the gel is pressed through to
     its backing. ``window`` (top, bottom, left, right) holds the contact patch, ``depth_mm`` (h, w)
     float32 the indentation over it, in pixels of ``pixel_area_mm2``, by which the volume is summed.
-    ``motion`` is how far shear has moved the object along the gel.
+    ``shear`` is that of the gel's surface, which the next frame goes on from, ``motion`` how far it
+    has carried the object along; both are None where nothing ever pulled. ``load`` is the frame's.
 
     The gel around the window is indented too by ``beside_depth_mm`` (n,), each over
     ``beside_area_mm2``, at the indenter's places ``beside_at`` (n,). ``is_beside_gel`` where the
@@ -58,7 +61,8 @@ class Imprint:
     depth_mm: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 0), np.float32))
     pixel_area_mm2: float = 0.0
     motion: ShearMotion | None = None
-    markers: MarkerField | None = None
+    shear: ShearState | None = None
+    load: GelLoad = field(default_factory=GelLoad)
     beside_at: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
     beside_depth_mm: FloatArray = field(default_factory=lambda: np.zeros(0))
     beside_area_mm2: float = 0.0
@@ -324,7 +328,7 @@ class TactilePad:
             leds=sensor.leds,
             marker_radius_mm=sensor.markers.radius_mm if markers and sensor.markers else 0.0,
         )
-        self._points_mm, self._pitch_mm = marker_grid_mm(sensor), marker_pitch_mm(sensor)
+        self._points_mm, self._shear = marker_grid_mm(sensor), GelShear(sensor)
         self._markers_drawn = markers
         self._drawn: Imprint | None = None
 
@@ -342,21 +346,16 @@ class TactilePad:
         ``before`` is the imprint of the frame before, whose shear the gel remembers; None: at rest.
         """
         imprint = self.indenter.indent(mesh, pose_gel_object, load)
-        shear = np.asarray(load.shear_sum_mm, dtype=np.float64)
-        moves = bool(np.any(shear)) or load.turn_sum_mm2 != 0.0 or any(load.pull_sum_mm)
-        if imprint.indentation_mm <= 0 or not (moves or self._markers_drawn):
+        if imprint.indentation_mm <= 0 or not imprint.depth_mm.size:
             return imprint
-        field = self._field(imprint)
-        # Of the load, what acts in the window, summed over markers as dense as the sensor's.
-        share = (load.marker_pitch_mm or self._pitch_mm) ** 2 / self._pitch_mm**2 * imprint.share
-        is_part = imprint.share < 1.0 and load.center_mm is not None
-        center_mm = load.center_mm if is_part and load.center_mm else field.center_mm
-        motion = field.motion(share * shear, share * load.turn_about_mm2(center_mm))
-        if moves:
-            pose = np.asarray(pose_gel_object, dtype=np.float64)
-            imprint = self.indenter.indent(mesh, motion.moved(pose), load)
-        markers = self._field(imprint) if self._markers_drawn and imprint.depth_mm.size else None
-        return replace(imprint, motion=motion, markers=markers)
+        last = None if before is None else before.shear
+        shear = self._shear.step(imprint.depth_mm, imprint.window, load, imprint.share, last)
+        if shear is None:
+            return replace(imprint, load=load)
+        motion = self._shear.object_motion(shear, load)
+        pose = motion.moved(np.asarray(pose_gel_object, dtype=np.float64))
+        moved = self.indenter.indent(mesh, pose, load)
+        return replace(moved, motion=motion, shear=shear, load=load)
 
     def image(
         self,
@@ -380,9 +379,7 @@ class TactilePad:
         """Places (n, 2) of the marker dots, gel frame, mm; None where none are drawn."""
         if not self._markers_drawn:
             return None
-        if imprint.markers is not None and imprint.motion is not None:
-            return imprint.markers.displaced_mm(imprint.motion)
-        return self._points_mm
+        return self._points_mm + self.marker_motion_mm(imprint)
 
     @property
     def marker_rest_mm(self) -> NDArray[np.float64]:
@@ -391,9 +388,12 @@ class TactilePad:
 
     def marker_motion_mm(self, imprint: Imprint) -> NDArray[np.float64]:
         """How far each marker (M, 2) is from where it is at rest, x and y of the gel, mm."""
-        if imprint.motion is None or not imprint.depth_mm.size:
+        if not imprint.depth_mm.size:
             return np.zeros_like(self._points_mm)
-        return self._field(imprint).displaced_mm(imprint.motion) - self._points_mm
+        moved = dilation_mm(self._points_mm, *self.indenter.sampled(imprint))
+        if imprint.shear is None:
+            return moved
+        return moved + self._shear.motion_mm(imprint.shear, self._points_mm, imprint.load)
 
     def force_field_n(
         self, imprint: Imprint, force_n: FloatArray, shape: tuple[int, int]
@@ -402,17 +402,19 @@ class TactilePad:
 
         It sums to ``force_n`` (3,), the part of the frame's force that acts in the window.
         """
-        field_n = np.zeros((*shape, 3))
-        depth_mm = imprint.depth_map_mm(self.sensor)
-        total = float(depth_mm.sum(dtype=np.float64))
-        if total <= 0:
-            return field_n
-        rows, columns = np.nonzero(depth_mm)
-        cells = (rows * shape[0] // depth_mm.shape[0], columns * shape[1] // depth_mm.shape[1])
-        share = np.zeros(shape)
-        np.add.at(share, cells, depth_mm[rows, columns] / total)
-        field_n[:] = share[..., None] * np.asarray(force_n, np.float64)
-        return field_n
+        force = np.asarray(force_n, np.float64)
+        if not imprint.depth_mm.size:
+            return np.zeros((*shape, 3))
+        share = self._shear.pressure_share(imprint.depth_mm, imprint.window)[..., None]
+        lattice_n = share * force
+        if imprint.shear is not None:
+            ones = np.ones(imprint.shear.pressure.shape)
+            total = weighted(ones, imprint.shear.pressure[..., None])
+            share = imprint.shear.pressure[..., None] / total
+            pulls_n = imprint.shear.traction * self._shear.cell_mm2
+            missing_n = force[:2] - weighted(ones, pulls_n)
+            lattice_n = np.concatenate([pulls_n + share * missing_n, share * force[2]], axis=-1)
+        return self._shear.cells(lattice_n, shape)
 
     def render(
         self,
@@ -426,9 +428,6 @@ class TactilePad:
         """``press`` and ``image`` in one."""
         imprint = self.press(mesh, pose_gel_object, load)
         return TactileFrame(self.image(imprint, rng=rng, rgb=rgb), imprint)
-
-    def _field(self, imprint: Imprint) -> MarkerField:
-        return MarkerField(self._points_mm, *self.indenter.sampled(imprint))
 
     def deformation(self, imprint: Imprint) -> tuple[NDArray[np.float32], Window]:
         """How far the gel's surface lies below rest, mm, and the window in which it does."""

@@ -8,7 +8,7 @@ import trimesh
 
 from tacgen.contact.effects import all_effects
 from tacgen.contact.law import ContactLaw
-from tacgen.core.records import ContactFrame, Markers, Mesh, Sensor
+from tacgen.core.records import ContactFrame, Estimate, Markers, Mesh, Sensor
 from tacgen.sensor.gel_response import GelCourse, GelLoad, gel_loads
 from tacgen.sensor.tactile_pad import TactilePad
 from tests.contact.effects.test_reading import forms_of, law_of
@@ -113,7 +113,7 @@ def test_half_a_turn_of_all_turns_the_imprint(sensor):
     np.testing.assert_allclose(
         other.depth_map_mm(sensor)[::-1, ::-1], plain.depth_map_mm(sensor), atol=1e-5
     )
-    np.testing.assert_allclose(-pad.markers_mm(other)[::-1], pad.markers_mm(plain), atol=1e-6)
+    np.testing.assert_allclose(-pad.markers_mm(other)[::-1], pad.markers_mm(plain), atol=1e-5)
 
 
 @pytest.mark.parametrize("sensor", [FLAT, DOMED], ids=lambda one: one.name)
@@ -130,7 +130,7 @@ def test_a_mirrored_press_is_mirrored(sensor):
     )
     rows, columns = sensor.markers.rows, sensor.markers.columns
     places = pad.markers_mm(other).reshape(rows, columns, 2)[:, ::-1] * [-1, 1]
-    np.testing.assert_allclose(places.reshape(-1, 2), pad.markers_mm(plain), atol=1e-6)
+    np.testing.assert_allclose(places.reshape(-1, 2), pad.markers_mm(plain), atol=1e-5)
 
 
 @pytest.mark.parametrize("sensor", [FLAT, DOMED], ids=lambda one: one.name)
@@ -158,13 +158,13 @@ def shifts(sensor, law, force_n, pose, torsion_n_mm=0.0):
 @pytest.mark.parametrize("pitch_mm", [1.0, 0.5, 4.0 / 3.0])
 @pytest.mark.parametrize("at_mm", [(0.0, 0.0, 4.0), (3.1, -1.7, 4.0)])
 def test_another_grid_of_markers_is_the_same_gel(pitch_mm, at_mm):
-    """Within what a sum over a grid differs from the integral: 1.1 % of a grid of 2 mm."""
+    """Within what a sum over a grid differs from the integral: 1.7 % of a grid of 2 mm."""
     law = ContactLaw.linear(5.135, 1.0, marker_pitch_mm=2.0)
     grid = Markers(round(12 / pitch_mm), round(16 / pitch_mm), pitch_mm, 0.2)
     pose = turned(0.0, at_mm=at_mm)
     one = shifts(FLAT, law, (1.0, -0.5), pose, 3.0)
     other = shifts(replace(FLAT, markers=grid), law, (1.0, -0.5), pose, 3.0)
-    np.testing.assert_allclose(other[0], one[0], rtol=0.015)
+    np.testing.assert_allclose(other[0], one[0], rtol=0.02)
     assert other[1] == pytest.approx(one[1], rel=0.02)
     # A law without a grid is of the sensor's own, whose sum it then gives.
     own = replace(law, marker_pitch_mm=pitch_mm)
@@ -212,16 +212,22 @@ def test_the_picture_of_a_press_depends_neither_on_the_clock_nor_on_reading_twic
         assert np.abs(other.rgb.astype(int) - plain.rgb).max() <= 1
 
 
-def test_shear_scaled_scales_the_motion():
-    law, pose = ContactLaw.default(), turned(0.0, at_mm=(1.0, 2.0, 4.0))
+def test_shear_scaled_scales_the_motion_of_what_sticks():
+    """To the millionth to which the field is solved; where the rim slips it moves farther."""
+    pose = turned(0.0, at_mm=(1.0, 2.0, 4.0))
+    sticky = replace(ContactLaw.default(), friction=Estimate(1e6))
+    once, twice = (shifts(FLAT, sticky, (k * 0.4, k * -0.2), pose, k * 1.5) for k in (1, 2))
+    np.testing.assert_allclose(twice[0], 2 * once[0], rtol=1e-4)
+    assert twice[1] == pytest.approx(2 * once[1], rel=1e-4)
+    law = ContactLaw.default()
     once, twice = (shifts(FLAT, law, (k * 0.4, k * -0.2), pose, k * 1.5) for k in (1, 2))
-    np.testing.assert_allclose(twice[0], 2 * once[0], rtol=1e-12)
-    assert twice[1] == pytest.approx(2 * once[1], rel=1e-12)
+    assert twice[0][0] > 2.05 * once[0][0]
 
 
 @pytest.mark.parametrize("center_mm", [None, (0.0, 0.0), (4.0, 2.0)])
 def test_a_pull_off_the_gels_middle_does_not_turn_the_object(center_mm):
     """About whatever point the moment of a pure shear is given, it has none about the patch."""
+    wide = replace(FLAT, height_px=360, width_px=480, markers=Markers(18, 24, 2.0, 0.2))
     law, pose = ContactLaw.default(), turned(0.0, at_mm=(5.0, -1.5, 4.0))
     ball = mesh_of(trimesh.creation.icosphere(subdivisions=5, radius=4.0))
     pull_n = np.array([0.3, 2.0])
@@ -229,7 +235,7 @@ def test_a_pull_off_the_gels_middle_does_not_turn_the_object(center_mm):
     arm = np.zeros(2) if center is None else np.array([5.0, -1.5]) - center
     torsion = arm[0] * pull_n[1] - arm[1] * pull_n[0]
     frame = ContactFrame(0.0, 4.0, pull_n, torsion, pose, center)
-    motion = pad_of(FLAT).press(ball, pose, gel_loads(law, [frame])[0]).motion
+    motion = pad_of(wide).press(ball, pose, gel_loads(law, [frame])[0]).motion
     # The patch's middle is that of its pixels: within a hundredth of a millimetre of the ball's.
     assert abs(np.degrees(motion.turn_rad)) < 0.003
     assert np.hypot(*motion.shift_mm) > 0.02
@@ -242,5 +248,5 @@ def test_where_on_the_gel_the_load_is_does_not_matter():
     places = ((0.0, 0.0), (2.0, -4.0), (1.0, 1.0), (-0.7, 3.3))
     found = [shifts(wide, law, (1.0, -0.5), turned(0.0, at_mm=(*at, 4.0)), 3.0) for at in places]
     for shift_mm, turn_rad in found[1:]:
-        np.testing.assert_allclose(shift_mm, found[0][0], rtol=0.01)
+        np.testing.assert_allclose(shift_mm, found[0][0], rtol=0.015)
         assert turn_rad == pytest.approx(found[0][1], rel=0.02)
