@@ -94,6 +94,10 @@ class Worlds:
     rgb_at_rest: wp.array3d(dtype=wp.uint8)
     noise_grey: wp.float32
     quantiles: Floats
+    n_markers: int
+    marker_radius_px: wp.float32
+    markers_at_rest_mm: Map2
+    markers_mm: Map3  # (N, M, 2)
 
 
 @wp.func
@@ -1031,6 +1035,39 @@ def sweep(p: Worlds, lights: Lights, lanes: int):
 
 
 @_native("""
+    // Motion away from the indentation, of which a marker sees some points spread evenly over it.
+    const auto& patch = wp::index(p.patches, w);
+    const int height = wp::max(patch[1] - patch[0], 0), width = wp::max(patch[3] - patch[2], 0);
+    const double scale = p.mm_per_px, x = wp::index(p.markers_at_rest_mm, m, 0);
+    const double y = wp::index(p.markers_at_rest_mm, m, 1);
+    const double half_row = 0.5 * p.depth_mm.shape[1] - 0.5, half = 0.5 * p.depth_mm.shape[2] - 0.5;
+    double along_x = 0.0, along_y = 0.0;
+    int every = wp::max(1, (int)sqrt((double)height * width / most_points)), count = 0;
+    for (; count == 0 && every > 0; every = every > 1 ? 1 : 0)
+        for (int r = patch[0] + every / 2; r < patch[0] + height; r += every)
+            for (int c = patch[2] + every / 2; c < patch[2] + width; c += every) {
+                const double depth = wp::index(p.depth_mm, p.start + w, r, c);
+                count += depth > 0.0 ? 1 : 0;
+                const double dx = x - (c - half) * scale, dy = y - (r - half_row) * scale;
+                const double fall = decay * (dx * dx + dy * dy);
+                if (depth <= 0.0 || fall > 30.0) continue;
+                const double weight = gain * depth * scale * scale * every * every * exp(-fall);
+                along_x += weight * dx, along_y += weight * dy;
+            }
+    wp::index(p.markers_mm, p.start + w, m, 0) = (float)(x + along_x);
+    wp::index(p.markers_mm, p.start + w, m, 1) = (float)(y + along_y);
+""")
+def _spread(p: Worlds, most_points: int, decay: wp.float64, gain: wp.float64, w: int, m: int): ...
+
+
+@wp.kernel
+def spread(p: Worlds, most_points: int, decay: wp.float64, gain: wp.float64):
+    """Places of the markers."""
+    w, m = wp.tid()
+    _spread(p, most_points, decay, gain, w, m)
+
+
+@_native("""
     // At rest outside the columns seen, else lit, hidden, noisy and rounded.
     const int lanes = p.lanes, height = p.rgb_at_rest.shape[0], width = p.rgb_at_rest.shape[1];
     const int world = p.start + w;
@@ -1040,10 +1077,22 @@ def sweep(p: Worlds, lights: Lights, lanes: int):
     const float* rest_lit = &wp::index(p.lit_at_rest, r, 0, 0);
     const float* lit = &wp::index(p.image, w, r, 0, 0);
     const bool is_row = r >= window[0] && r < window[1];
-    const float sigma = p.noise_grey;
+    const float sigma = p.noise_grey, radius = p.marker_radius_px;
+    float dots[2 * 256];  // places x, y of those that this row meets, in pixels
+    int n_dots = 0;
+    for (int m = 0; m < p.n_markers; m++) {
+        const float y = wp::index(p.markers_mm, world, m, 1) / p.mm_per_px + 0.5f * height - 0.5f;
+        if (fabsf(r - y) > radius + 0.5f || n_dots == 256) continue;
+        const float x = wp::index(p.markers_mm, world, m, 0) / p.mm_per_px + 0.5f * width - 0.5f;
+        dots[2 * n_dots] = x, dots[2 * n_dots + 1] = y;
+        n_dots++;
+    }
     TACGEN_TILES(0, width) {
         const bool is_still = !is_row || c0 + n <= window[2] || c0 >= window[3];
-        if (is_still && sigma <= 0.0f) {
+        bool is_dotted = false;
+        for (int m = 0; m < n_dots; m++)
+            is_dotted |= dots[2 * m] > c0 - radius - 1.0f && dots[2 * m] < c0 + n + radius;
+        if (is_still && sigma <= 0.0f && !is_dotted) {
             for (int i = 3 * c0; i < 3 * (c0 + n); i++) out[i] = still[i];
             continue;
         }
@@ -1069,6 +1118,13 @@ def sweep(p: Worlds, lights: Lights, lanes: int):
                     grey[3 * i + j] -= share[j] * part[i] * (light > 0.0f ? light : 0.0f);
                 }
         }
+        for (int m = 0; m < n_dots && is_dotted; m++)
+            for (int i = 0; i < n; i++) {
+                const float dx = c0 + i - dots[2 * m], dy = r - dots[2 * m + 1];
+                const float cover = wp::clamp(radius + 0.5f - sqrtf(dx * dx + dy * dy), 0.0f, 1.0f);
+                const float shown = 1.0f - cover * (1.0f - ink_transmission);
+                for (int j = 0; j < 3; j++) grey[3 * i + j] *= shown;
+            }
         const wp::uint32 first = 3u * ((wp::uint32)(world * height + r) * width + c0);
         for (int i = 0; i < 3 * n && sigma > 0.0f; i++) {  // 12 random bits: a hash of the place
             wp::uint32 x = seed + 0x9E3779B9u * (first + i);
@@ -1083,20 +1139,20 @@ def sweep(p: Worlds, lights: Lights, lanes: int):
     }
 """)
 def _expose(
-    p: Worlds, lights: Lights, window: wp.vec4i, span: wp.vec2i, seed: wp.uint32, w: int, r: int,
-    lane: int,
+    p: Worlds, lights: Lights, window: wp.vec4i, span: wp.vec2i, ink_transmission: wp.float32,
+    seed: wp.uint32, w: int, r: int, lane: int,
 ): ...  # fmt: skip
 
 
 @wp.kernel
-def expose(p: Worlds, lights: Lights, seed: wp.uint32):
+def expose(p: Worlds, lights: Lights, ink_transmission: wp.float32, seed: wp.uint32):
     """The pictures."""
     w, r, lane = wp.tid()
     window = seen(p, lights, w)
     span = lit_span(p.spans, w, r, p.height_mm.shape[2])
     if lights.n == 0:
         window = wp.vec4i(window[0], window[1], span[0], span[1])
-    _expose(p, lights, window, span, seed, w, r, lane)
+    _expose(p, lights, window, span, ink_transmission, seed, w, r, lane)
 
 
 def _of_types(kernel: Any, argument: str, ndim: int, *dtypes: Any) -> dict[Any, Any]:

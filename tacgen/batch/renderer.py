@@ -19,6 +19,7 @@ from tacgen.contact.gap import (
 )
 from tacgen.contact.gel import gel_map_mm
 from tacgen.contact.raster import CellMesh, cut_mesh
+from tacgen.contact.shear import DILATION_DECAY_PER_MM2, DILATION_GAIN, marker_grid_mm
 from tacgen.core.errors import ContactError, SensorError, TableError
 from tacgen.core.noise import CameraNoise
 from tacgen.core.records import Mesh
@@ -34,9 +35,11 @@ from tacgen.optics.deform import (
 from tacgen.optics.effects import with_cast_shadows
 from tacgen.optics.effects.shadow import DEFAULT_STRENGTH, PENUMBRA_MM, SHADOW
 from tacgen.optics.image_models import Quadratic, Response
+from tacgen.optics.markers import INK_TRANSMISSION
 from tacgen.optics.render import Shader
 from tacgen.optics.smooth import Gaussian
 from tacgen.optics.table import LookupTable
+from tacgen.sensor.tactile_pad import FIELD_POINTS
 
 CUDA_LANES, CUDA_BLOCK, CUDA_CELL = 64, 256, 32
 """Threads on a row, on a world and on a cell of a mesh; one on the CPU."""
@@ -64,6 +67,7 @@ class BatchRenderer:
         device: wp.Device,
         *,
         shadows: bool,
+        markers: bool,
         noise_grey: float,
     ) -> None:
         self.n, self.device, self._sensor = n, device, sensor
@@ -77,6 +81,8 @@ class BatchRenderer:
         self.worlds = self._allocate()
         self._prepare_optics(table, noise_grey, shadows=shadows)
         self._prepare_pyramid(sensor.mm_per_px)
+        if markers and sensor.markers is not None:
+            self._prepare_markers(sensor.markers.radius_mm)
         self._no_beside = self._zeros((self._part, 0), wp.int32)
 
     def _put(self, values: Any, dtype: Any) -> wp.array:
@@ -204,6 +210,12 @@ class BatchRenderer:
         ready.hidden = self._zeros((b, ready.n, h * w), wp.float32)
         ready.met = self._zeros((b, ready.n, 2, max(h, w) + 2), wp.float32)
         return ready
+
+    def _prepare_markers(self, radius_mm: float) -> None:
+        p, places_mm = self.worlds, marker_grid_mm(self._sensor)
+        p.n_markers, p.marker_radius_px = len(places_mm), radius_mm / self._sensor.mm_per_px
+        p.markers_at_rest_mm = self._put(places_mm, wp.float32)
+        p.markers_mm = self._zeros((self.n, len(places_mm), 2), wp.float32)
 
     def _prepare_pyramid(self, mm_per_px: float) -> None:
         """The kernel, halvings, alignment and reach of every Gaussian, and its memory."""
@@ -375,7 +387,10 @@ class BatchRenderer:
             self._rows(k.turn, p, lights)
             dim = self._count, lights.n, self._block
             self._launch(k.sweep, *dim, inputs=[p, lights, self._block])
-        self._rows(k.expose, p, lights, seed)
+        if p.n_markers:
+            inputs = p, FIELD_POINTS, DILATION_DECAY_PER_MM2, DILATION_GAIN
+            self._launch(k.spread, self._count, p.n_markers, inputs=inputs)
+        self._rows(k.expose, p, lights, INK_TRANSMISSION, seed)
 
     def _deform(self) -> None:
         p, levels = self.worlds, self._levels

@@ -23,7 +23,7 @@ from tacgen.core.records import ContactFrame
 from tacgen.sensor.gel_response import GelCourse
 from tacgen.sensor.simulated import MeshLike, Sensor, as_mesh
 
-FIELDS = ("rgb", "depth_mm", "contact_mask", "indentation_mm", "saturated")
+FIELDS = ("rgb", "depth_mm", "contact_mask", "indentation_mm", "saturated", "markers_mm")
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ class BatchSensor:
 
     Parameters
     ----------
-    name, table, contact, shadows, noise
+    name, table, contact, shadows, markers, noise
         As of :class:`tacgen.Sensor`. The noise is drawn from ``seed`` and the number of the call.
     n : int
         Number of worlds.
@@ -101,10 +101,7 @@ class BatchSensor:
         if not isinstance(n, int) or n < 1:
             msg = f"n = {n}: give the number of worlds, 1 or more"
             raise SensorError(msg)
-        if markers:
-            msg = "a batch draws no markers yet; use tacgen.Sensor(markers=True), a world at a time"
-            raise SensorError(msg)
-        single = Sensor(name, table, contact, shadows=shadows)
+        single = Sensor(name, table, contact, shadows=shadows, markers=markers)
         self.description, self.law, self.table, self.n = (
             single.description,
             single.law,
@@ -118,7 +115,10 @@ class BatchSensor:
         self._device = arrays.find_device(device)
         sigma = self.table.noise_grey if noise else 0.0
         self._renderer = BatchRenderer(
-            self.description, self.table, n, self._device, shadows=shadows, noise_grey=sigma
+            *(self.description, self.table, n, self._device),
+            shadows=shadows,
+            markers=markers,
+            noise_grey=sigma,
         )
         self._seed, self._calls = seed, 0
         self._gels = [GelCourse(self.law) for _ in range(n)] if self.law.effects else []
@@ -275,5 +275,6 @@ class BatchSensor:
         drawn = self._renderer
         if problem := drawn.problem():
             raise ContactError(problem)
-        found = [getattr(drawn.worlds, name) for name in FIELDS]
+        names = FIELDS if drawn.worlds.n_markers else FIELDS[:-1]
+        found = (getattr(drawn.worlds, name) for name in names)
         return BatchFrame(*(self._arrays.as_kind(one, kind) for one in found))

@@ -47,6 +47,16 @@ def pair():
     return sensor, balls([(0, 0), (1.5, -1)], sensor.description)
 
 
+@pytest.mark.parametrize("shadows", [False, True])
+def test_markers_are_where_one_sensor_has_them(shadows):
+    frames = [(0, trimesh.transformations.translation_matrix((x, 0, 0)), force_n)
+              for x, force_n in ((0, 4.0), (2.5, 0.01), (60, 1.0), (-9.5, 8.0))]  # fmt: skip
+    difference = compare("gelsight_mini", [BALL], frames, shadows=shadows, markers=True)
+    assert difference.most_grey <= 1
+    assert difference.mean_grey <= 0.05
+    assert difference.other == []
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("shadows", [False, True])
 @pytest.mark.parametrize("name", ["digit", "gelsight", "gelsight_mini", "virtual_gelsight"])
@@ -278,7 +288,7 @@ def test_an_array_of_another_device(pair):
         ({"n": 0}, "n = 0: give the number of worlds"),
         ({"n": 10**7}, r"\d+ worlds fit; give n = \d+"),
         ({"device": "tpu"}, r"device = 'tpu' is not here \(Warp sees cpu"),
-        ({"markers": True}, "a batch draws no markers yet"),
+        ({"markers": True}, "the sensor digit has no markers to draw"),
     ],
 )
 def test_batches_that_cannot_be(options, message):

@@ -1,7 +1,8 @@
 """A batch against ``Sensor``: ``python -m validation.batch [FRAMES] [DEVICE]``.
 
-FRAMES (default 1000) of all shipped objects, turned anyhow, on every shipped sensor, with shadows
-and without; exit code 1 where one differs by more than 1 grey level, 0.05 on average, or 1e-6 mm.
+FRAMES (default 1000) of all shipped objects, turned anyhow, on every shipped sensor, plain and with
+shadows and markers; exit code 1 where one differs by more than 1 grey level, 0.05 on average, or
+1e-6 mm.
 """
 
 import sys
@@ -9,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+import tacgen
 from tacgen.core.records import Mesh
 from tacgen.core.resources import object_folders, packaged
 from tacgen.objects import load_object
@@ -31,12 +33,16 @@ def shipped_sensors() -> list[str]:
 def compare_all(n_frames: int, device: str, meshes: Sequence[Mesh]) -> bool:
     """Compare and print a line for each sensor; whether all are the same."""
     rng, is_same = np.random.default_rng(0), True
-    cases = [(name, shadows) for name in shipped_sensors() for shadows in (False, True)]
+    has_dots = {
+        name: tacgen.Sensor(name).description.markers is not None for name in shipped_sensors()
+    }
+    cases = [(name, on) for name in shipped_sensors() for on in (False, True)]
     for name, shadows in cases:
         found = []
         for _ in range(-(-n_frames // (len(cases) * PART))):
             frames = random_frames(rng, meshes, PART)
-            found.append(compare(name, meshes, frames, device=device, shadows=shadows))
+            options = {"shadows": shadows, "markers": shadows and has_dots[name]}
+            found.append(compare(name, meshes, frames, device=device, **options))
         worst = Difference(
             max(one.most_grey for one in found),
             max(one.mean_grey for one in found),
@@ -49,8 +55,9 @@ def compare_all(n_frames: int, device: str, meshes: Sequence[Mesh]) -> bool:
             and worst.most_delta_mm <= MOST_DELTA_MM
             and not worst.other
         )
+        what = "shadows, markers" if shadows else "plain"
         print(  # noqa: T201
-            f"{name:<18} shadows {shadows!s:<5} {PART * len(found):5} frames on {device}: at most "
+            f"{name:<18} {what:<16} {PART * len(found):5} frames on {device}: at most "
             f"{worst.most_grey} grey, {worst.mean_grey:.1e} on average, "
             f"{worst.most_delta_mm:.1e} mm {worst.other or ''}"
         )
