@@ -86,6 +86,11 @@ def _from_numpy(array: np.ndarray[Any, Any], name: str) -> wp.array:
     return wp.array(np.ascontiguousarray(array), device="cpu", copy=False)
 
 
+def upload(values: np.ndarray[Any, Any], device: wp.Device) -> wp.array:
+    """Numbers of the host on a device."""
+    return wp.array(values, device=device)
+
+
 def as_kind(array: wp.array, kind: str) -> Any:
     """The memory of a Warp array as an array of that library."""
     if kind == "torch":

@@ -76,6 +76,7 @@ class Worlds:
     contact_mask: wp.array3d(dtype=wp.bool)
     indentation_mm: Floats
     saturated: wp.array(dtype=wp.bool)
+    beside_mm3: Doubles  # volume lost around the window
     zero_mm: Doubles  # gap of first touch
     grains: Ints3  # gaps beyond it
     delta: Doubles  # in grains, as is the largest there can be
@@ -97,7 +98,8 @@ class Worlds:
     n_markers: int
     marker_radius_px: wp.float32
     markers_at_rest_mm: Map2
-    markers_mm: Map3  # (N, M, 2)
+    sheared_mm: Map3  # their motion by shear, and where they are, (N, M, 2)
+    markers_mm: Map3
 
 
 @wp.func
@@ -453,7 +455,7 @@ def solve(
 
 
 @wp.kernel
-def results(p: Worlds, least_mm: wp.float32):
+def results(p: Worlds, least_mm: wp.float32, beside: Ints2, each_mm3: wp.float64):
     """δ of each world, 0 where nothing touches in the window, and whether it is the largest."""
     w = wp.tid()
     depth_mm = wp.float32(0.0)
@@ -462,6 +464,10 @@ def results(p: Worlds, least_mm: wp.float32):
     p.indentation_mm[p.start + w] = depth_mm
     p.deepest_mm[w] = wp.max(depth_mm, least_mm)
     p.saturated[p.start + w] = p.delta[w] >= p.deepest[w]
+    total = wp.float64(0.0)
+    for k in range(beside.shape[1]):
+        total += wp.max(p.delta[w] - wp.float64(beside[w, k]), wp.float64(0.0))
+    p.beside_mm3[p.start + w] = total * each_mm3
 
 
 _INDENT = """
@@ -1054,8 +1060,9 @@ def sweep(p: Worlds, lights: Lights, lanes: int):
                 const double weight = gain * depth * scale * scale * every * every * exp(-fall);
                 along_x += weight * dx, along_y += weight * dy;
             }
-    wp::index(p.markers_mm, p.start + w, m, 0) = (float)(x + along_x);
-    wp::index(p.markers_mm, p.start + w, m, 1) = (float)(y + along_y);
+    const float* sheared = &wp::index(p.sheared_mm, p.start + w, m, 0);
+    wp::index(p.markers_mm, p.start + w, m, 0) = (float)(x + along_x + sheared[0]);
+    wp::index(p.markers_mm, p.start + w, m, 1) = (float)(y + along_y + sheared[1]);
 """)
 def _spread(p: Worlds, most_points: int, decay: wp.float64, gain: wp.float64, w: int, m: int): ...
 

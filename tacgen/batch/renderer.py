@@ -20,6 +20,7 @@ from tacgen.contact.gap import (
 from tacgen.contact.gel import gel_map_mm
 from tacgen.contact.raster import CellMesh, cut_mesh
 from tacgen.contact.shear import DILATION_DECAY_PER_MM2, DILATION_GAIN, marker_grid_mm
+from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import ContactError, SensorError, TableError
 from tacgen.core.noise import CameraNoise
 from tacgen.core.records import Mesh
@@ -112,6 +113,7 @@ class BatchRenderer:
         p.wrong, p.asked = zeros(len(WRONG), wp.int32, n), zeros(n, wp.float64)
         p.rgb, p.depth_mm = zeros((n, h, w, 3), wp.uint8), zeros((n, h, w), wp.float32)
         p.contact_mask, p.saturated = zeros((n, h, w), wp.bool, False), zeros(n, wp.bool, False)
+        p.beside_mm3 = zeros(n, wp.float64)
         p.indentation_mm, p.grains = zeros(n, wp.float32), zeros((b, h, w), wp.int32)
         p.zero_mm, p.delta, p.deepest = (zeros(b, wp.float64) for _ in range(3))
         p.deepest_mm, p.relief_mm = zeros(b, wp.float32), zeros(b, wp.float32)
@@ -216,6 +218,14 @@ class BatchRenderer:
         p.n_markers, p.marker_radius_px = len(places_mm), radius_mm / self._sensor.mm_per_px
         p.markers_at_rest_mm = self._put(places_mm, wp.float32)
         p.markers_mm = self._zeros((self.n, len(places_mm), 2), wp.float32)
+        p.sheared_mm = self._zeros((self.n, len(places_mm), 2), wp.float32)
+
+    def move_markers(self, motion_mm: FloatArray | None) -> None:
+        """How far shear has moved the markers (N, M, 2); None: not at all."""
+        if self.worlds.n_markers and motion_mm is None:
+            self.worlds.sheared_mm.zero_()
+        elif self.worlds.n_markers:
+            self.worlds.sheared_mm.assign(motion_mm)
 
     def _prepare_pyramid(self, mm_per_px: float) -> None:
         """The kernel, halvings, alignment and reach of every Gaussian, and its memory."""
@@ -365,7 +375,8 @@ class BatchRenderer:
         depth, weight = self._sensor.gel_depth_mm / GAP_GRAIN_MM, float(self._surround.pixels**2)
         self._blocks(k.solve, p, beside, weight, is_depth, depth, self._block)
         self._begin()
-        self._each(k.results, p, NEGLIGIBLE_MM)
+        beside_mm3 = weight * self._sensor.pixel_area_mm2 * GAP_GRAIN_MM
+        self._each(k.results, p, NEGLIGIBLE_MM, beside, beside_mm3)
         self._rows(k.indent, p)
 
     def take_depth(self, depth_mm: wp.array, start: int) -> None:

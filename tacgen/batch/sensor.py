@@ -13,16 +13,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tacgen.batch.gels import Gels
 from tacgen.contact.gap import GAP_GRAIN_MM
 from tacgen.contact.law import ContactLaw
 from tacgen.core.errors import ContactError, SensorError
 from tacgen.core.optional_dependencies import require_extra
-from tacgen.core.records import ContactFrame
-from tacgen.sensor.gel_response import GelCourse
+from tacgen.sensor.gel_response import GelLoad
 from tacgen.sensor.simulated import MeshLike, Sensor, as_mesh
 
+NUMBERS = ("float32", "float64")
 FIELDS = ("rgb", "depth_mm", "contact_mask", "indentation_mm", "saturated", "markers_mm")
 
 
@@ -121,7 +121,8 @@ class BatchSensor:
             noise_grey=sigma,
         )
         self._seed, self._calls = seed, 0
-        self._gels = [GelCourse(self.law) for _ in range(n)] if self.law.effects else []
+        self._gels = Gels(self.description, self.law, n)
+        self._is_sheared = self._is_depth = False
 
     def __repr__(self) -> str:
         return f"BatchSensor({self.description.name!r}, n={self.n}, device={str(self._device)!r})"
@@ -146,10 +147,12 @@ class BatchSensor:
         force_n : (N,) float32 or float64
             Force of each object into the gel.
         shear_n, turn
-            Shear is not drawn yet: None, or zeros.
+            As of ``render_meshes``; None or zeros, since shear moves the object, and a gap map does
+            not tell what then lies over the gel.
         time_s : (N,) or float, optional
-            The worlds' clocks, for a contact law with memory (creep, hysteresis): each world's load
-            goes on from its last, until ``reset``. Without it every frame is a new press.
+            The worlds' clocks, where gels remember: the effects of a contact law (creep,
+            hysteresis), and the shear. Each world goes on from its last frame, until ``reset``.
+            Without it every frame is a new press.
 
         Raises
         ------
@@ -158,12 +161,14 @@ class BatchSensor:
             negative.
         """
         arrays, kind = self._arrays, self._arrays.kind_of(gap_mm)
-        self._refuse_shear(shear_n, turn)
         shape = (self.n, *self.description.shape_px)
         gap = arrays.as_warp(gap_mm, "gap_mm", shape, self._device, ("float32",))
-        is_depth = self._ask(force_n, time_s)
+        self._ask(force_n, shear_n, turn, time_s)
+        if self._is_sheared:
+            msg = "shear moves the object, which a gap map does not tell; give render_meshes meshes"
+            raise SensorError(msg)
         for start in self._renderer.parts():
-            self._renderer.indent_gaps(gap, start, is_depth=is_depth)
+            self._renderer.indent_gaps(gap, start, is_depth=self._is_depth)
             self._renderer.draw(self._noise_seed())
         return self._frame(kind)
 
@@ -172,6 +177,7 @@ class BatchSensor:
         arrays, kind = self._arrays, self._arrays.kind_of(depth_mm)
         shape = (self.n, *self.description.shape_px)
         depth = arrays.as_warp(depth_mm, "depth_mm", shape, self._device, ("float32",))
+        self._renderer.move_markers(None)
         for start in self._renderer.parts():
             self._renderer.take_depth(depth, start)
             self._renderer.draw(self._noise_seed())
@@ -195,23 +201,33 @@ class BatchSensor:
 
         ``mesh_ids`` (N,) int32 or int64 are what ``add_mesh`` returned; ``poses`` (N, 4, 4) float32
         or float64 lead from each object to its gel frame, in mm. What touches the gel beside the
-        window carries its share of the force. The arrays that come out are of the kind of
+        window carries its share of the force. ``shear_n`` (N, 2) are the forces of the objects
+        along the gel's x and y, ``turn`` (N,) their moments about its normal, N·mm; both are
+        followed on the host, some milliseconds a world. The arrays that come out are of the kind of
         ``poses``. The rest is as of ``render``.
         """
         arrays, kind = self._arrays, self._arrays.kind_of(poses)
-        self._refuse_shear(shear_n, turn)
         if not self._renderer.n_meshes:
             msg = "there is no mesh yet; call add_mesh first"
             raise SensorError(msg)
-        n = self.n
-        integers, numbers = ("int32", "int64"), ("float32", "float64")
-        ids = arrays.as_warp(mesh_ids, "mesh_ids", (n,), self._device, integers)
-        pose = arrays.as_warp(poses, "poses", (n, 4, 4), self._device, numbers)
-        is_depth = self._ask(force_n, time_s)
-        self._renderer.pose_meshes(ids, pose)
-        for start in self._renderer.parts():
-            self._renderer.indent_meshes(start, is_depth=is_depth)
-            self._renderer.draw(self._noise_seed())
+        ids = arrays.as_warp(mesh_ids, "mesh_ids", (self.n,), self._device, ("int32", "int64"))
+        pose = arrays.as_warp(poses, "poses", (self.n, 4, 4), self._device, NUMBERS)
+        loads = self._ask(force_n, shear_n, turn, time_s)
+        drawn, worlds = self._renderer, self._renderer.worlds
+        drawn.pose_meshes(ids, pose)
+        if self._is_sheared:
+            for start in drawn.parts():
+                drawn.indent_meshes(start, is_depth=self._is_depth)
+            if problem := drawn.problem():
+                raise ContactError(problem)
+            known = worlds.depth_mm.numpy(), worlds.beside_mm3.numpy()
+            at = pose.numpy().astype(np.float64)
+            moved, motion_mm = self._gels.shear(loads, *known, at)
+            drawn.move_markers(motion_mm)
+            drawn.pose_meshes(ids, arrays.upload(moved, self._device))
+        for start in drawn.parts():
+            drawn.indent_meshes(start, is_depth=self._is_depth)
+            drawn.draw(self._noise_seed())
         return self._frame(kind)
 
     def reset(self, world_ids: Any = None) -> None:
@@ -221,51 +237,33 @@ class BatchSensor:
             if not 0 <= world < self.n:
                 msg = f"world_ids has {world}; there are worlds 0 to {self.n - 1}"
                 raise SensorError(msg)
-            if self._gels:
-                self._gels[world].begin()
+        self._gels.begin(ids)
 
-    def _refuse_shear(self, shear_n: Any, turn: Any) -> None:
-        for name, given in (("shear_n", shear_n), ("turn", turn)):
-            if given is not None and bool(
-                (np.asarray(given) if isinstance(given, list | tuple) else given != 0).any()
-            ):
-                msg = f"{name} is not drawn in a batch yet; leave it out, or use tacgen.Sensor"
-                raise SensorError(msg)
-
-    def _ask(self, force_n: Any, time_s: Any) -> bool:
-        """Put what the law asks of each gel on the device; whether that is δ, not a volume."""
-        numbers = ("float32", "float64")
-        force = self._arrays.as_warp(force_n, "force_n", (self.n,), self._device, numbers)
-        is_depth = self.law.law == "linear_depth"
-        per_unit = 1.0 if is_depth else self.description.pixel_area_mm2
-        compliance = self.law.k_depth_mm_per_n if is_depth else self.law.k_n_mm3_per_n
+    def _ask(self, force_n: Any, shear_n: Any, turn: Any, time_s: Any) -> list[GelLoad]:
+        """Put what the law asks of each gel on the device; the loads where gels remember."""
+        n, read, law = self.n, self._arrays.as_warp, self.law
+        force = read(force_n, "force_n", (n,), self._device, NUMBERS)
+        pulls = np.zeros((n, 3))
+        for name, given, columns in (("shear_n", shear_n, slice(2)), ("turn", turn, 2)):
+            if given is not None:
+                shape = pulls[:, columns].shape
+                pulls[:, columns] = read(given, name, shape, self._device, NUMBERS).numpy()
+        self._is_sheared = bool((pulls != 0).any()) or (
+            time_s is not None and self._gels.are_sheared
+        )
+        self._is_depth = law.law == "linear_depth"
+        per_unit = GAP_GRAIN_MM * (1.0 if self._is_depth else self.description.pixel_area_mm2)
+        compliance = law.k_depth_mm_per_n if self._is_depth else law.k_n_mm3_per_n
         factor = compliance.value if compliance is not None else 0.0
-        if self.law.effects:
-            asked = self._with_memory(force.numpy(), time_s)
-            force, factor = (
-                self._arrays.as_warp(asked, "force_n", (self.n,), self._device, numbers),
-                1.0,
-            )
-        self._renderer.ask(force, factor / (GAP_GRAIN_MM * per_unit))
-        return is_depth
-
-    def _with_memory(self, forces_n: NDArray[Any], time_s: Any) -> list[float]:
-        """The law's response of each world, on the host: effects are functions of a history."""
-        if time_s is None:
-            self.reset()
-        times = np.broadcast_to(0.0 if time_s is None else np.asarray(time_s, float), self.n)
-        nothing = np.zeros(2)
-        if not (np.isfinite(forces_n).all() and (forces_n >= 0).all() and np.isfinite(times).all()):
-            msg = "force_n or time_s holds a negative force or what is not finite"
-            raise ContactError(msg)
-        loads = []
-        for gel, force, time in zip(self._gels, forces_n.tolist(), times.tolist(), strict=True):
-            if gel.last_s is not None and time < gel.last_s:
-                gel.begin()
-            frame = ContactFrame(time, force, nothing, 0.0, np.eye(4))
-            load = gel.load(frame, 0.0)
-            loads.append(load.indentation_mm if load.volume_mm3 is None else load.volume_mm3)
-        return [0.0 if one is None else one for one in loads]
+        self._renderer.move_markers(None)
+        if not (law.effects or self._is_sheared):
+            self._renderer.ask(force, factor / per_unit)
+            return []
+        loads = self._gels.loads(force.numpy().astype(float), pulls[:, :2], pulls[:, 2], time_s)
+        asked = [one.indentation_mm if self._is_depth else one.volume_mm3 for one in loads]
+        upload = self._arrays.upload
+        self._renderer.ask(upload(np.array(asked, np.float64), self._device), 1.0 / per_unit)
+        return loads
 
     def _noise_seed(self) -> int:
         return (self._seed * 0x9E3779B1 + self._calls * 0x85EBCA77) % (1 << 32)

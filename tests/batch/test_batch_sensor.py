@@ -58,6 +58,42 @@ def test_markers_are_where_one_sensor_has_them(shadows):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", ["gelsight_mini", "gelsight"])
+def test_shear_moves_object_and_markers_as_of_one_sensor(name):
+    can = load_object("tomato_soup_can").surface
+    side = trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0))
+    side[:3, 3] = -side[:3, :3] @ np.asarray(can.vertices_mm).mean(axis=0)
+    move = trimesh.transformations.translation_matrix
+    frames = [(0, move((1, 0, 0)), 4.0), (1, side, 8.0), (0, move((4, 3, 0)), 2.0),
+              (0, np.eye(4), 3.0), (0, move((60, 0, 0)), 1.0)]  # fmt: skip
+    shear_n = np.array([[1.0, -0.5], [2.0, 3.0], [-0.8, 0.0], [0.0, 0.0], [0.1, 0.0]])
+    turn_n_mm = np.array([0.0, 5.0, -2.0, 0.0, 0.0])
+    difference = compare(
+        name, [BALL, can], frames, shear_n=shear_n, turn=turn_n_mm, markers=True, shadows=True
+    )
+    assert difference.most_grey <= 1
+    assert difference.mean_grey <= 0.05
+    assert difference.most_delta_mm <= 1e-6
+    assert difference.other == []
+
+
+def test_shear_remembers_until_it_is_reset():
+    sensor = batch(markers=True)
+    ball, poses = sensor.add_mesh(BALL), two_poses()
+    rest_mm = sensor.render_meshes([ball] * 2, poses, 3.0).markers_mm.copy()
+    pulled_mm = sensor.render_meshes([ball] * 2, poses, 3.0, [[1.0, 0.0]] * 2, time_s=0.0)
+    pulled_mm = pulled_mm.markers_mm.copy()
+    # D = k_s F_s, of markers 2 mm apart.
+    assert (pulled_mm - rest_mm)[:, :, 0].sum(axis=1) == pytest.approx(1.0, rel=0.05)
+    sensor.reset([1])
+    after_mm = sensor.render_meshes([ball] * 2, poses, 3.0, time_s=1.0).markers_mm
+    assert np.abs(after_mm[1] - rest_mm[1]).max() < 1e-5
+    assert np.abs(after_mm[0] - rest_mm[0]).max() > 1e-3  # where it slipped, some stays
+    # Without a clock every frame is a new press.
+    assert np.abs(sensor.render_meshes([ball] * 2, poses, 3.0).markers_mm - rest_mm).max() < 1e-5
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("shadows", [False, True])
 @pytest.mark.parametrize("name", ["digit", "gelsight", "gelsight_mini", "virtual_gelsight"])
 def test_pictures_of_shipped_objects_are_those_of_one_sensor(name, shadows):
@@ -250,7 +286,11 @@ def with_nan(gaps):
         (lambda s, g: s.render(g, [np.nan, 1.0]), "world 0: force_n is negative or not finite"),
         (lambda s, g: s.render(g, [1.0]), r"force_n has the shape \(1,\); give \(2,\)"),
         (lambda s, g: s.render(g, ["a", "b"]), "force_n: could not convert string to float"),
-        (lambda s, g: s.render(g, [1, 1], [[1, 0], [0, 0]]), "shear_n is not drawn in a batch yet"),
+        (
+            lambda s, g: s.render(g, [1, 1], [[1, 0], [0, 0]]),
+            "shear moves the object, which a gap map",
+        ),
+        (lambda s, g: s.render(g, [1, 1], [1, 0]), r"shear_n has the shape \(2,\); give \(2, 2\)"),
         (lambda s, g: s.render_depth(with_nan(g)), "world 1: the map holds NaN"),
         (lambda s, g: s.render_meshes([0, 9], two_poses(), [1, 1]), "world 1: mesh_ids has an ind"),
         (lambda s, g: s.render_meshes([0, 0], two_poses(2.0), [1, 1]), "world 1: the pose is no r"),

@@ -41,6 +41,8 @@ def compare(
     meshes: Sequence[Any],
     frames: Sequence[Frame],
     *,
+    shear_n: Any = None,
+    turn: Any = None,
     device: str = "cpu",
     **options: Any,
 ) -> Difference:
@@ -50,11 +52,13 @@ def compare(
     for mesh in meshes:
         batch.add_mesh(mesh)
     ids, poses, force_n = (np.array(one) for one in zip(*frames, strict=True))
-    out = batch.render_meshes(ids, poses, force_n)
+    out = batch.render_meshes(ids, poses, force_n, shear_n, turn)
+    shear_n = np.zeros((len(frames), 2)) if shear_n is None else shear_n
+    turn = np.zeros(len(frames)) if turn is None else turn
     found, other = [], []
     for k, (mesh, pose, force) in enumerate(frames):
         try:
-            frame = sensor.render(meshes[mesh], pose, force)
+            frame = sensor.render(meshes[mesh], pose, force, shear_n[k], torsion_n_mm=turn[k])
         except ContactError:  # beside the gel
             assert not out.contact_mask[k].any()
             continue

@@ -7,6 +7,7 @@
 import statistics
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -42,9 +43,9 @@ def measure(name: str, *, shadows: bool) -> str:
         for i, pose, force in frames:
             sensor.render(meshes[i], pose, force)
 
-    ways = {
-        "meshes": lambda: batch.render_meshes(ids, poses, force_n),
-        "gap maps": lambda: batch.render(gaps, force_n),
+    ways: dict[str, Callable[[], object]] = {
+        "meshes": partial(batch.render_meshes, ids, poses, force_n),
+        "gap maps": partial(batch.render, gaps, force_n),
     }
     single()
     parts = []
