@@ -29,9 +29,11 @@ HALVE, ALONG, DOWN, DOUBLE = (wp.constant(i) for i in range(4))
 _PRELUDE = """
 #if defined(__CUDA_ARCH__)
     #define TACGEN_SYNC __syncthreads()
+    #define TACGEN_ALONE  // what one thread writes, another one reads after TACGEN_SYNC
     constexpr int TILE = 1;
 #else
     #define TACGEN_SYNC
+    #define TACGEN_ALONE __restrict  // no other pointer leads there: the loop becomes vectors
     constexpr int TILE = 64;
 #endif
     (void)TILE;
@@ -596,7 +598,7 @@ def place(p: Worlds, margin: int):
     const int above = wp::clamp(2 * r - 4, 0, last), below = wp::clamp(2 * r - 3, 0, last);
     const float* up = &wp::index(source, w, window[0] + above, window[2]);
     const float* down = &wp::index(source, w, window[0] + below, window[2]);
-    float* __restrict out = &wp::index(target, w, r, 0);
+    float* TACGEN_ALONE out = &wp::index(target, w, r, 0);
     #define TACGEN_MEAN(even, odd) (0.25f * ((up[even] + down[even]) + (up[odd] + down[odd])))
     if (TILE > 1)
         for (int c = 2; 2 * c - 3 <= end; c++) out[c] = TACGEN_MEAN(2 * c - 4, 2 * c - 3);
@@ -1008,10 +1010,10 @@ def turn(p: Worlds, lights: Lights):
     for (int i = 0; i < bottom - top; i++) {
         const int r = wp::index(lights.is_downwards, led) ? top + i : bottom - 1 - i;
         const float* row = &wp::index(relief, w, r, left);
-        float* __restrict out = &wp::index(lights.hidden, w, led, r * relief.shape[2] + left);
+        float* TACGEN_ALONE out = &wp::index(lights.hidden, w, led, r * relief.shape[2] + left);
         const float* centre = &wp::index(lights.met, w, led, i % 2, 1);
         const float* aside = centre + side;
-        float* __restrict after = &wp::index(lights.met, w, led, 1 - i % 2, 1);
+        float* TACGEN_ALONE after = &wp::index(lights.met, w, led, 1 - i % 2, 1);
         const float lift = i > 0 ? wp::index(lights.rise_mm, led) : 0.0f;
         TACGEN_ALONG(0, width) {
             const float level = (stay * centre[c] + weight * aside[c]) + lift;
@@ -1170,6 +1172,7 @@ def _of_types(kernel: Any, argument: str, ndim: int, *dtypes: Any) -> dict[Any, 
 
 FIRST_TOUCH = _of_types(first_touch, "gap_mm", 3, wp.float32, wp.float64)
 TO_GRAINS = _of_types(to_grains, "gap_mm", 3, wp.float32, wp.float64)
-CHECK_FORCE = _of_types(check_force, "force_n", 1, wp.float32, wp.float64)
-CHECK_POSES = _of_types(check_poses, "poses", 3, wp.float32, wp.float64)
+_NUMBERS = (wp.int32, wp.int64, wp.float32, wp.float64)
+CHECK_FORCE = _of_types(check_force, "force_n", 1, *_NUMBERS)
+CHECK_POSES = _of_types(check_poses, "poses", 3, *_NUMBERS)
 CHECK_IDS = _of_types(check_ids, "ids", 1, wp.int32, wp.int64)

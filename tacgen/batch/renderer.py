@@ -75,10 +75,9 @@ class BatchRenderer:
         self.height, self.width = sensor.shape_px
         is_cuda = device.is_cuda
         self._lanes, self._block = (CUDA_LANES, CUDA_BLOCK) if is_cuda else (1, 1)
-        self._part = min(n, CUDA_PART if is_cuda else CPU_PART)
         self._surround, self._cut = Surround(sensor), list[CellMesh]()
         self._meshes: Any = None
-        self._check_memory(shadows=shadows)
+        self._part = self._fitting_part(CUDA_PART if is_cuda else CPU_PART, shadows=shadows)
         self.worlds = self._allocate()
         self._prepare_optics(table, noise_grey, shadows=shadows)
         self._prepare_pyramid(sensor.mm_per_px)
@@ -92,19 +91,20 @@ class BatchRenderer:
     def _zeros(self, shape: Any, dtype: Any, value: Any = 0) -> wp.array:
         return wp.full(shape, value, dtype=dtype, device=self.device)
 
-    def _check_memory(self, *, shadows: bool) -> None:
-        """Raise ``SensorError`` if the results and the maps at work do not fit."""
+    def _fitting_part(self, most: int, *, shadows: bool) -> int:
+        """How many worlds to work on at a time; a ``SensorError`` if the results do not fit."""
         pixels = self.height * self.width
         each, at_work = 8 * pixels + 200, (38 + (20 if shadows else 0)) * pixels
         free = free_bytes(self.device)
-        if self.n * each + self._part * at_work > free:
-            fit = max(0, (free - self._part * at_work) // each)
+        fit = max(0, (free - at_work) // each)
+        if self.n > fit:
             msg = (
                 f"n = {self.n}: pictures of {self.width} × {self.height} px of so many worlds need "
                 f"{self.n * each / 1e9:.1f} GB, and {free / 1e9:.1f} GB are free on {self.device}: "
                 f"{fit} worlds fit; give n = {fit}, and more than one batch"
             )
             raise SensorError(msg)
+        return int(max(1, min(self.n, most, (free - self.n * each) // at_work)))
 
     def _allocate(self) -> Any:
         n, b, h, w, zeros = self.n, self._part, self.height, self.width, self._zeros

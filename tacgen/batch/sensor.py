@@ -22,7 +22,7 @@ from tacgen.core.optional_dependencies import require_extra
 from tacgen.sensor.gel_response import GelLoad
 from tacgen.sensor.simulated import MeshLike, Sensor, as_mesh
 
-NUMBERS = ("float32", "float64")
+NUMBERS = ("int32", "int64", "float32", "float64")
 FIELDS = ("rgb", "depth_mm", "contact_mask", "indentation_mm", "saturated", "markers_mm")
 
 
@@ -98,16 +98,12 @@ class BatchSensor:
         seed: int = 0,
     ) -> None:
         require_extra("batch", "a batch of sensors needs", SensorError)
-        if not isinstance(n, int) or n < 1:
+        if not isinstance(n, int | np.integer) or n < 1:
             msg = f"n = {n}: give the number of worlds, 1 or more"
             raise SensorError(msg)
         single = Sensor(name, table, contact, shadows=shadows, markers=markers)
-        self.description, self.law, self.table, self.n = (
-            single.description,
-            single.law,
-            single.table,
-            n,
-        )
+        self.description, self.law, self.table = single.description, single.law, single.table
+        self.n = n = int(n)
         from tacgen.batch import arrays
         from tacgen.batch.renderer import BatchRenderer
 
@@ -144,7 +140,7 @@ class BatchSensor:
             Distance along z, in mm, from the gel's surface at rest (its dome included) to the
             object, as a depth camera behind the gel sees it; +inf where there is none. A distance
             for all pixels alike changes nothing.
-        force_n : (N,) float32 or float64
+        force_n : (N,)
             Force of each object into the gel.
         shear_n, turn
             As of ``render_meshes``; None or zeros, since shear moves the object, and a gap map does
