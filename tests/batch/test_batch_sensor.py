@@ -1,5 +1,6 @@
 """A batch draws what ``Sensor`` draws, in arrays of any library, and refuses what it cannot."""
 
+import importlib
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 import trimesh
 
 import tacgen
+from tacgen.collection.bench import batch_figures
 from tacgen.contact import gap_map, solve_indentation
 from tacgen.contact.law import ContactLaw, FittedEffect
 from tacgen.core.errors import ContactError, SensorError, TableError
@@ -93,14 +95,22 @@ def test_shear_remembers_until_it_is_reset():
     assert np.abs(sensor.render_meshes([ball] * 2, poses, 3.0).markers_mm - rest_mm).max() < 1e-5
 
 
+@pytest.fixture(params=["cpu", "cuda"])
+def device(request):
+    """Each device that is here."""
+    if request.param == "cuda" and not importlib.import_module("warp").is_cuda_available():
+        pytest.skip("there is no CUDA GPU")
+    return request.param
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("shadows", [False, True])
 @pytest.mark.parametrize("name", ["digit", "gelsight", "gelsight_mini", "virtual_gelsight"])
-def test_pictures_of_shipped_objects_are_those_of_one_sensor(name, shadows):
+def test_pictures_of_shipped_objects_are_those_of_one_sensor(name, shadows, device):
     objects = ["strawberry", "tomato_soup_can", "sugar_box", "scissors", "golf_ball"]
     meshes = [load_object(one).surface for one in objects]
     frames = random_frames(np.random.default_rng(7), meshes, 6)
-    difference = compare(name, meshes, frames, shadows=shadows)
+    difference = compare(name, meshes, frames, device=device, shadows=shadows)
     assert difference.most_grey <= 1
     assert difference.mean_grey <= 0.05
     assert difference.most_delta_mm <= 1e-6
@@ -347,7 +357,18 @@ def test_a_table_of_another_sensor(tmp_path):
 
 def test_warp_is_not_there(monkeypatch):
     monkeypatch.setattr("tacgen.core.optional_dependencies.find_spec", lambda name: None)
-    with pytest.raises(
-        SensorError, match=r"warp, not installed .* `pip install 'tacgen\[batch\]'`"
-    ):
-        batch()
+    for needs_warp in (batch, lambda: list(batch_figures([1], "cpu", 5))):
+        with pytest.raises(
+            SensorError, match=r"warp, not installed .* `pip install 'tacgen\[batch"
+        ):
+            needs_warp()
+
+
+@pytest.mark.slow
+def test_figures_of_batches():
+    figures = {name: (value, unit) for name, value, unit, _ in batch_figures([2], "cpu", 5)}
+    sizes = "320x240", "640x480"
+    assert set(figures) == {
+        f"batch_2_{way}_ms_{size}" for way in ("meshes", "gap") for size in sizes
+    }
+    assert all(value > 0 and unit == "ms" for value, unit in figures.values())

@@ -47,12 +47,18 @@ def compare(
     **options: Any,
 ) -> Difference:
     """The difference between a batch of frames and the same ones of ``Sensor``."""
+    import warp as wp
+
     sensor = tacgen.Sensor(name, **options)
     batch = tacgen.BatchSensor(name, len(frames), device, **options)
     for mesh in meshes:
         batch.add_mesh(mesh)
-    ids, poses, force_n = (np.array(one) for one in zip(*frames, strict=True))
-    out = batch.render_meshes(ids, poses, force_n, shear_n, turn)
+    given = [np.array(one) for one in zip(*frames, strict=True)]
+    given += [one for one in (shear_n, turn) if one is not None]
+    out = batch.render_meshes(*(wp.array(one, device=device) for one in given))
+    rgb, mask, delta_mm, saturated = (
+        one.numpy() for one in (out.rgb, out.contact_mask, out.indentation_mm, out.saturated)
+    )
     shear_n = np.zeros((len(frames), 2)) if shear_n is None else shear_n
     turn = np.zeros(len(frames)) if turn is None else turn
     found, other = [], []
@@ -60,19 +66,18 @@ def compare(
         try:
             frame = sensor.render(meshes[mesh], pose, force, shear_n[k], torsion_n_mm=turn[k])
         except ContactError:  # beside the gel
-            assert not out.contact_mask[k].any()
+            assert not mask[k].any()
             continue
-        grey = np.abs(frame.rgb.astype(int) - out.rgb[k])
-        found.append(
-            (grey.max(), grey.mean(), abs(frame.indentation_mm - float(out.indentation_mm[k])))
-        )
-        is_same = np.array_equal(frame.contact_mask, out.contact_mask[k])
+        grey = np.abs(frame.rgb.astype(int) - rgb[k])
+        off_mm = abs(frame.indentation_mm - float(delta_mm[k]))
+        found.append((grey.max(), grey.mean(), off_mm))
+        is_same = np.array_equal(frame.contact_mask, mask[k])
         if frame.markers_px is not None:
             height, width = sensor.description.shape_px
-            places_px = out.markers_mm[k] / sensor.description.mm_per_px
+            places_px = out.markers_mm.numpy()[k] / sensor.description.mm_per_px
             off_px = frame.markers_px - places_px - (width / 2 - 0.5, height / 2 - 0.5)
             is_same &= bool(np.abs(off_px).max() < SAME_PLACE_PX)
-        if not (is_same and frame.saturated == out.saturated[k]):
-            other.append((k, frame.status, frame.saturated, bool(out.saturated[k])))
+        if not (is_same and frame.saturated == saturated[k]):
+            other.append((k, frame.status, frame.saturated, bool(saturated[k])))
     most_grey, mean_grey, most_delta_mm = np.max(found, axis=0)
     return Difference(int(most_grey), float(mean_grey), float(most_delta_mm), other)
