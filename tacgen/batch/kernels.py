@@ -199,7 +199,8 @@ class Grid:
     gel_mm: Doubles2
     gap_mm: Doubles3
     per_px: wp.float64
-    limits_mm: Doubles
+    zero_mm: Doubles  # what lies ``reach_mm`` beyond cannot touch
+    reach_mm: wp.float64
     every: int
     lanes: int
 
@@ -214,7 +215,7 @@ class Grid:
     #define TACGEN_AXIS(i, p) (t[4*i] * p[0] + t[4*i + 1] * p[1] + t[4*i + 2] * p[2])
     if (fabs((TACGEN_AXIS(0, s) + t[3]) * per_px) > half_column + 0.5 + radius * per_px) return;
     if (fabs((TACGEN_AXIS(1, s) + t[7]) * per_px) > half_row + 0.5 + radius * per_px) return;
-    const double limit_mm = wp::index(g.limits_mm, w);
+    const double limit_mm = wp::index(g.zero_mm, w) + g.reach_mm;
     if (TACGEN_AXIS(2, s) - radius > limit_mm) return;
     // Some of its faces are enough where a few pixels are.
     const int f_first = wp::index(m.first, cell), f_last = wp::index(m.first, cell + 1);
@@ -287,20 +288,11 @@ def rasterize(m: Meshes, g: Grid, start: int):
 
 
 @wp.kernel
-def limit(zero_mm: Doubles, reach_mm: wp.float64, limits_mm: Doubles):
-    """What lies further than this cannot touch."""
-    w = wp.tid()
-    limits_mm[w] = zero_mm[w] + reach_mm
-
-
-@wp.kernel
-def gather_beside(
-    g: Grid, outside: wp.array2d(dtype=wp.bool), zero_mm: Doubles, per_mm: wp.float64, beside: Ints2
-):
+def gather_beside(g: Grid, outside: wp.array2d(dtype=wp.bool), per_mm: wp.float64, beside: Ints2):
     """Gaps of the gel around the window, in grains beyond first touch in it, or around it."""
     w = wp.tid()
     infinite = wp.float64(wp.inf)
-    zero = wp.float64(zero_mm[w])
+    zero, limit_mm = wp.float64(g.zero_mm[w]), g.zero_mm[w] + g.reach_mm
     n_columns = g.gap_mm.shape[2]
     if zero == infinite:
         for r in range(g.gap_mm.shape[1]):
@@ -310,7 +302,7 @@ def gather_beside(
     for r in range(g.gap_mm.shape[1]):
         for c in range(n_columns):
             grains = wp.int32(NO_OBJECT)
-            if outside[r, c] and g.gap_mm[w, r, c] < g.limits_mm[w]:
+            if outside[r, c] and g.gap_mm[w, r, c] < limit_mm:
                 gap = (g.gap_mm[w, r, c] - zero) * per_mm + wp.float64(0.5)
                 grains = wp.int32(wp.clamp(gap, wp.float64(-NO_OBJECT), wp.float64(NO_OBJECT)))
             beside[w, r * n_columns + c] = grains
@@ -1087,11 +1079,11 @@ def spread(p: Worlds, most_points: int, decay: wp.float64, gain: wp.float64):
     const float* lit = &wp::index(p.image, w, r, 0, 0);
     const bool is_row = r >= window[0] && r < window[1];
     const float sigma = p.noise_grey, radius = p.marker_radius_px;
-    float dots[2 * 256];  // places x, y of those that this row meets, in pixels
+    float dots[2 * 128];  // places x, y of those that this row meets, in pixels
     int n_dots = 0;
     for (int m = 0; m < p.n_markers; m++) {
         const float y = wp::index(p.markers_mm, world, m, 1) / p.mm_per_px + 0.5f * height - 0.5f;
-        if (fabsf(r - y) > radius + 0.5f || n_dots == 256) continue;
+        if (fabsf(r - y) > radius + 0.5f || n_dots == 128) continue;
         const float x = wp::index(p.markers_mm, world, m, 0) / p.mm_per_px + 0.5f * width - 0.5f;
         dots[2 * n_dots] = x, dots[2 * n_dots + 1] = y;
         n_dots++;

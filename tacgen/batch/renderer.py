@@ -23,7 +23,7 @@ from tacgen.contact.shear import DILATION_DECAY_PER_MM2, DILATION_GAIN, marker_g
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import ContactError, SensorError, TableError
 from tacgen.core.noise import CameraNoise
-from tacgen.core.records import Mesh
+from tacgen.core.records import Markers, Mesh
 from tacgen.core.records import Sensor as Description
 from tacgen.optics import shade
 from tacgen.optics.deform import (
@@ -47,6 +47,7 @@ CUDA_LANES, CUDA_BLOCK, CUDA_CELL = 64, 256, 32
 CUDA_PART, CPU_PART = 256, 4
 """Worlds that are worked on at a time: on a CPU their maps stay in its cache."""
 LONGEST_KERNEL, FLATTEST_SLOPE = 64, 1e-3
+MOST_COLUMNS = 42  # of markers, so that no row of pixels meets more than the kernel keeps
 
 WRONG = (
     "the map holds NaN; use +inf where there is no object",
@@ -82,7 +83,7 @@ class BatchRenderer:
         self._prepare_optics(table, noise_grey, shadows=shadows)
         self._prepare_pyramid(sensor.mm_per_px)
         if markers and sensor.markers is not None:
-            self._prepare_markers(sensor.markers.radius_mm)
+            self._prepare_markers(sensor.markers)
         self._no_beside = self._zeros((self._part, 0), wp.int32)
 
     def _put(self, values: Any, dtype: Any) -> wp.array:
@@ -213,9 +214,15 @@ class BatchRenderer:
         ready.met = self._zeros((b, ready.n, 2, max(h, w) + 2), wp.float32)
         return ready
 
-    def _prepare_markers(self, radius_mm: float) -> None:
+    def _prepare_markers(self, markers: Markers) -> None:
+        if markers.columns > MOST_COLUMNS:
+            msg = (
+                f"a batch draws up to {MOST_COLUMNS} columns of markers, the sensor has "
+                f"{markers.columns}; use tacgen.Sensor, or leave them out"
+            )
+            raise SensorError(msg)
         p, places_mm = self.worlds, marker_grid_mm(self._sensor)
-        p.n_markers, p.marker_radius_px = len(places_mm), radius_mm / self._sensor.mm_per_px
+        p.n_markers, p.marker_radius_px = len(places_mm), markers.radius_mm / self._sensor.mm_per_px
         p.markers_at_rest_mm = self._put(places_mm, wp.float32)
         p.markers_mm = self._zeros((self.n, len(places_mm), 2), wp.float32)
         p.sheared_mm = self._zeros((self.n, len(places_mm), 2), wp.float32)
@@ -313,7 +320,6 @@ class BatchRenderer:
         m.spheres_mm = self._put(np.concatenate([c.spheres_mm for c in self._cut]), wp.float64)
         m.cells, m.ids = self._put(starts[:, 2], wp.int32), self._zeros(self.n, wp.int32)
         m.poses = self._zeros((self.n, 4, 4), wp.float64)
-        self._limits_mm = self._zeros(b, wp.float64)
         shapes = (self.height, self.width), surround.shape_px
         pixels_mm = self._sensor.mm_per_px, surround.pixel_mm
         maps = self._gel_mm, self._put(surround.gel_mm, wp.float64)
@@ -321,7 +327,8 @@ class BatchRenderer:
         for shape, pixel_mm, gel_mm in zip(shapes, pixels_mm, maps, strict=True):
             grid = k.Grid()
             grid.gel_mm, grid.gap_mm = gel_mm, self._zeros((b, *shape), wp.float64, math.inf)
-            grid.per_px, grid.limits_mm, grid.every = 1.0 / pixel_mm, self._limits_mm, 1
+            grid.per_px, grid.every = 1.0 / pixel_mm, 1
+            grid.zero_mm, grid.reach_mm = self.worlds.zero_mm, self._sensor.gel_depth_mm
             grid.lanes = CUDA_CELL if self.device.is_cuda else 1
             self._grids.append(grid)
         self._beside = self._zeros((b, surround.outside.size), wp.int32, NO_OBJECT)
@@ -339,16 +346,14 @@ class BatchRenderer:
     def indent_meshes(self, start: int, *, is_depth: bool) -> None:
         """Gap maps, δ and indentation of posed meshes, with what touches beside the window."""
         window, around = self._grids
-        self._limits_mm.fill_(math.inf)
+        self.worlds.zero_mm.fill_(math.inf)
         for window.every in (FIRST_ROWS, 1):
             self._rasterize(window)
             self._first_touch(window.gap_mm, 0, window.every)
-            reach_mm = self._sensor.gel_depth_mm
-            self._each(k.limit, self.worlds.zero_mm, reach_mm, self._limits_mm)
         if self._surround.is_there:
             self._rasterize(around)
-            zero_mm, per_mm = self.worlds.zero_mm, 1.0 / GAP_GRAIN_MM
-            self._each(k.gather_beside, around, self._outside, zero_mm, per_mm, self._beside)
+            per_mm = 1.0 / GAP_GRAIN_MM
+            self._each(k.gather_beside, around, self._outside, per_mm, self._beside)
         self._indent(window.gap_mm, 0, self._beside, is_depth=is_depth, clears=True)
 
     def _rasterize(self, grid: Any) -> None:
@@ -359,11 +364,11 @@ class BatchRenderer:
 
     def indent_gaps(self, gap_mm: wp.array, start: int, *, is_depth: bool) -> None:
         """δ and indentation of gap maps (N, H, W)."""
+        self.worlds.zero_mm.fill_(math.inf)
         self._first_touch(gap_mm, start, 1)
         self._indent(gap_mm, start, self._no_beside, is_depth=is_depth, clears=False)
 
     def _first_touch(self, gap_mm: wp.array, start: int, every: int) -> None:
-        self.worlds.zero_mm.fill_(math.inf)
         touch = k.FIRST_TOUCH[gap_mm.dtype]
         self._blocks(touch, gap_mm, start, every, self._block, self.worlds)
 
