@@ -1,6 +1,6 @@
 """Pictures of many worlds at once, on a GPU or on the CPU.
 
-Warp (Apache-2.0, 170 MB) compiles one source for both, without a display, and shares arrays with
+Warp (Apache-2.0, 490 MB) compiles one source for both, without a display, and shares arrays with
 torch, JAX, Newton, MuJoCo Warp and Isaac Lab. Taichi has had no release since July 2025, and its
 fork Quadrants promises no stable interface; numba-cuda compiles for CUDA alone; torch and JAX weigh
 gigabytes and have no kernels of their own for the exact solve, the meshes and the shadows.
