@@ -1,0 +1,1 @@
+"""The gel's sideways motion beside finite elements."""
