@@ -9,16 +9,10 @@ from tacgen.contact.raster import Float64
 from tacgen.core.compiled import njit
 from tacgen.core.records import Markers, Sensor
 
-DILATION_DECAY_PER_MM2 = 0.479
-"""How fast dilation falls off with the square of the distance.
-
-Source: Zhao et al. 2023, FOTS: λ_d = 0.00125 px⁻² at its 19.58 px/mm.
-"""
-DILATION_GAIN = 0.03
-"""Sideways motion of the gel's surface around an indentation, per mm of depth and mm² of contact.
-Chosen so that a marker beside a 1 mm deep ball press moves by about 0.1 mm, as on real gels."""
-
-NEGLIGIBLE = 20.0  # e^−20: beyond 6.5 mm the indentation at a point moves nothing
+DILATION_REACH, DILATION_GAIN = 1.58, 0.198
+"""How far and how strongly an indentation pushes the gel aside: e^−1 at ``reach`` thicknesses, and
+the gain for a thickness of 1 mm. Fitted to finite elements of bonded blocks of gel
+(``validation.shear.dilation``), of which a thickness is the only length."""
 
 DEFAULT_PITCH_MM = 2.0
 """Spacing of the points at which the motion of a gel without markers is summed."""
@@ -58,18 +52,26 @@ def marker_grid_mm(sensor: Sensor) -> Float64:
     return np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
 
 
+def dilation_constants(gel_depth_mm: float) -> tuple[float, float]:
+    """Decay (1/mm²) and gain (1/mm³) of ``dilation_mm`` for a gel's thickness."""
+    return (DILATION_REACH * gel_depth_mm) ** -2, DILATION_GAIN / gel_depth_mm**3
+
+
 @njit(cache=True, nogil=True)
-def _dilation(points_mm: Float64, patch_mm: Float64, weights_mm3: Float64, out: Float64) -> None:
-    """Motion (n, 2) of each point away from the patch, for a gain of 1."""
+def _dilation(
+    points_mm: Float64,
+    patch_mm: Float64,
+    weights_mm3: Float64,
+    decay_per_mm2: float,
+    gain: float,
+    out: Float64,
+) -> None:
     for i in range(points_mm.shape[0]):
         along_x, along_y = 0.0, 0.0
         for j in range(patch_mm.shape[0]):
             dx = points_mm[i, 0] - patch_mm[j, 0]
             dy = points_mm[i, 1] - patch_mm[j, 1]
-            away = DILATION_DECAY_PER_MM2 * (dx * dx + dy * dy)
-            if away > NEGLIGIBLE:
-                continue
-            weight = weights_mm3[j] * np.exp(-away)
+            weight = gain * weights_mm3[j] * np.exp(-decay_per_mm2 * (dx * dx + dy * dy))
             along_x += weight * dx
             along_y += weight * dy
         out[i, 0], out[i, 1] = along_x, along_y
@@ -80,13 +82,33 @@ def dilation_mm(
     patch_mm: NDArray[np.floating],
     depth_mm: NDArray[np.floating],
     area_mm2: float,
+    gel_depth_mm: float,
+    under_mm: NDArray[np.floating],
 ) -> Float64:
     """Motion (n, 2) of points of the gel's surface (n, 2) by an indentation alone.
 
     ``patch_mm`` (k, 2) are spread evenly over the contact patch, gel frame, each indented by
-    ``depth_mm`` (k,) and standing for ``area_mm2``.
+    ``depth_mm`` (k,) and standing for ``area_mm2``; ``under_mm`` (n,) is the indentation at the
+    points: the object holds the gel where it touches, the more the deeper.
     """
-    weights_mm3 = np.asarray(depth_mm, dtype=np.float64) * area_mm2
-    out = np.empty(points_mm.shape)
-    _dilation(np.ascontiguousarray(points_mm), np.ascontiguousarray(patch_mm), weights_mm3, out)
-    return DILATION_GAIN * out
+    out = np.zeros(points_mm.shape)
+    if not len(patch_mm):
+        return out
+    depth = np.asarray(depth_mm, np.float64)
+    points, patch = np.ascontiguousarray(points_mm), np.ascontiguousarray(patch_mm)
+    _dilation(points, patch, depth * area_mm2, *dilation_constants(gel_depth_mm), out)
+    free = 1.0 - np.minimum(under_mm / max(float(depth.max()), 1e-12), 1.0)
+    return np.asarray(free[:, None] * out)
+
+
+def depth_at(
+    depth_mm: NDArray[np.floating], points_mm: Float64, mm_per_px: float
+) -> NDArray[np.float64]:
+    """Indentation (n,) of the pixel that each point (n, 2) lies in; 0 beside the map (H, W)."""
+    height, width = depth_mm.shape
+    columns = np.floor(points_mm[:, 0] / mm_per_px + width / 2).astype(int)
+    rows = np.floor(points_mm[:, 1] / mm_per_px + height / 2).astype(int)
+    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+    found = np.zeros(len(points_mm))
+    found[inside] = depth_mm[rows[inside], columns[inside]]
+    return found
