@@ -1055,10 +1055,14 @@ def sweep(p: Worlds, lights: Lights, lanes: int):
                 const double weight = gain * depth * scale * scale * every * every * exp(-fall);
                 along_x += weight * dx, along_y += weight * dy;
             }
-    const int row = (int)floor(y / scale + half_row + 0.5);
-    const int column = (int)floor(x / scale + half + 0.5);
-    if (row >= 0 && row < p.depth_mm.shape[1] && column >= 0 && column < p.depth_mm.shape[2])
-        under = wp::index(p.depth_mm, p.start + w, row, column);
+    const double down = y / scale + half_row, right = x / scale + half;
+    for (int k = 0; k < 4; k++) {  // bilinear
+        const int row = (int)floor(down) + k / 2, column = (int)floor(right) + k % 2;
+        if (row < 0 || row >= p.depth_mm.shape[1]) continue;
+        if (column < 0 || column >= p.depth_mm.shape[2]) continue;
+        const double share = (1.0 - fabs(down - row)) * (1.0 - fabs(right - column));
+        under += share * wp::index(p.depth_mm, p.start + w, row, column);
+    }
     const double free = 1.0 - wp::min(under / deepest, 1.0);
     along_x *= free, along_y *= free;
     const float* sheared = &wp::index(p.sheared_mm, p.start + w, m, 0);

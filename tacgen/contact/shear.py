@@ -104,11 +104,15 @@ def dilation_mm(
 def depth_at(
     depth_mm: NDArray[np.floating], points_mm: Float64, mm_per_px: float
 ) -> NDArray[np.float64]:
-    """Indentation (n,) of the pixel that each point (n, 2) lies in; 0 beside the map (H, W)."""
-    height, width = depth_mm.shape
-    columns = np.floor(points_mm[:, 0] / mm_per_px + width / 2).astype(int)
-    rows = np.floor(points_mm[:, 1] / mm_per_px + height / 2).astype(int)
-    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+    """Indentation (n,) at points (n, 2) of the gel, bilinear between pixels; 0 beside the map."""
+    place = points_mm[:, ::-1] / mm_per_px + (np.array(depth_mm.shape) - 1.0) / 2
+    first = np.floor(place).astype(int)
+    part = place - first
     found = np.zeros(len(points_mm))
-    found[inside] = depth_mm[rows[inside], columns[inside]]
+    for down in (0, 1):
+        for right in (0, 1):
+            at = first + np.array([down, right])
+            inside = ((at >= 0) & (at < depth_mm.shape)).all(axis=1)
+            weight = np.abs(1 - down - part[:, 0]) * np.abs(1 - right - part[:, 1])
+            found[inside] += weight[inside] * depth_mm[tuple(at[inside].T)]
     return found

@@ -42,10 +42,10 @@ def test_an_indentation_pushes_the_markers_beside_it_apart():
     assert ratio[far].max() < 1.0
 
 
-def test_the_depth_under_a_point_is_that_of_its_pixel():
+def test_the_depth_under_a_point_is_between_those_of_its_pixels():
     depth = np.arange(12.0).reshape(3, 4)
-    points = np.array([[-0.75, -0.5], [0.24, 0.0], [0.26, 0.5], [9.0, 0.0]])
-    np.testing.assert_array_equal(depth_at(depth, points, 0.5), [0.0, 6.0, 10.0, 0.0])
+    points = np.array([[-0.75, -0.5], [0.25, 0.0], [0.0, 0.25], [9.0, 0.0]])
+    np.testing.assert_allclose(depth_at(depth, points, 0.5), [0.0, 6.0, 7.5, 0.0])
 
 
 def test_the_marker_grid_is_centred_and_as_the_sensor_says():
