@@ -1,0 +1,389 @@
+"""What the field of marker motion lacks that its sum cannot show.
+
+The base is a field that sticks everywhere, of dots that lie where the sensor's file has them. It
+lacks ``partial_slip`` (the contact's rim slips), ``friction_place`` (a place with other friction),
+``grid_turned`` or ``grid_shifted`` where that explains a share of the squared error.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+from scipy.stats import spearmanr
+
+from tacgen.calibrate.contact.marker_fit import (
+    PLACE_NAMES,
+    FieldData,
+    Slip,
+    cluster_errors,
+    field_data,
+    fit_slip,
+)
+from tacgen.core.arrays import FloatArray
+from tacgen.core.records import Sensor
+from tacgen.presses.ball_shear import Place
+from tacgen.presses.marker_tracks import AT_REST, MarkerTracks, rigid_fit, turned
+
+PARTIAL_SLIP, PLACE, TURNED, SHIFTED = (
+    "partial_slip",
+    "friction_place",
+    "grid_turned",
+    "grid_shifted",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerRules:
+    """Thresholds of the choice, set on other seeds of validation/blind/markers.py than reported."""
+
+    min_gain: float = 0.02
+    """Share of the squared error, noise included, that an effect explains: chance and the thinned
+    course of the load reach 0.01."""
+    frames: int = 8
+    """Of a press, in the choice: a place is tried in some hundred spots."""
+    scan_mm: float = 1.25
+    """Distance of those spots: half of a contact's radius."""
+    scan_radius_mm: float = 1.75
+    """Of a place that is tried; it is fitted then."""
+    excess: float = 1.05
+    """Squared error over noise of a press that a place is looked for at."""
+    more: float = 4.0
+    """Times 1/μ in a place that is tried."""
+    less: float = 0.25
+    """The same, of a place with more friction."""
+    least_slip: tuple[float, ...] = (2.5, 6.0)
+    """1/μ in a place that is tried in a contact that sticks."""
+    test_every: int = 4
+    """Every so many presses one is held out."""
+    unexplained: float = 1.2
+    """Times the noise floor: what is left is looked into."""
+    alpha: float = 0.01
+    """p-value, for all covariates together, below which the residual follows one."""
+
+
+DEFAULT_RULES = MarkerRules()
+
+
+@dataclass(frozen=True)
+class MarkerDiagnosis:
+    """What the residual of the marker field was traced to.
+
+    ``base`` and ``final`` are fits to all presses, ``data`` their frames. Errors, mm, are of one
+    coordinate of a dot in held-out presses, before and after; ``gains`` are the shares of the
+    squared error there that effects take away, in the order in which they were added.
+    """
+
+    data: FieldData
+    base: Slip
+    final: Slip
+    effects: dict[str, dict[str, tuple[float, float, str]]]
+    gains: dict[str, float]
+    runner_up: dict[str, str]
+    before_mm: float
+    after_mm: float
+    motion_mm: float
+    unexplained: tuple[tuple[str, float], ...]
+    k_s: tuple[float, float]
+    decay_mm: tuple[float, float]
+    n_test: int
+
+    @property
+    def verdict(self) -> Literal["sufficient", "effect_found", "unexplained"]:
+        """``unexplained`` if structure is left, whatever was found."""
+        if self.unexplained:
+            return "unexplained"
+        return "effect_found" if self.effects else "sufficient"
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in one plain sentence."""
+        um = [1e3 * value for value in (self.before_mm, self.after_mm, self.data.noise_mm)]
+        error = f"{um[0]:.3g} µm on held-out presses"
+        floor = f"noise floor {um[2]:.3g} µm"
+        left = ", ".join(name for name, _ in self.unexplained)
+        if not self.effects:
+            if left:
+                return f"The shear field that sticks is off by {error} ({floor}): it follows {left}"
+            return f"The shear field that sticks is sufficient: {error}, {floor}."
+        names = []
+        for name, parameters in self.effects.items():
+            shown = ", ".join(
+                f"{key} {value:.3g} ± {1.96 * stderr:.2g}"
+                for key, (value, stderr, _) in parameters.items()
+            )
+            names.append(f"{name.replace('_', ' ')} ({shown})")
+        text = f"The shear field lacks {' and '.join(names)}: the error goes from {error} to "
+        text += f"{um[1]:.3g} µm ({floor})"
+        return text + (f", and a residual that follows {left} remains." if left else ".")
+
+    def record(self) -> dict[str, Any]:
+        """The channel ``markers`` of ``diagnosis.json``."""
+
+        def error(rmse: float) -> dict[str, Any]:
+            return {"rmse": rmse, "nrmse": rmse / max(self.motion_mm, 1e-12), "unit": "mm"}
+
+        def estimate(value: float, stderr: float, unit: str) -> dict[str, Any]:
+            known = np.isfinite(stderr)
+            return {"value": value, "stderr": stderr if known else None, "unit": unit}
+
+        noise = self.data.noise_mm
+        return {
+            "verdict": self.verdict,
+            "sentence": self.sentence,
+            "effects": [
+                {
+                    "name": name,
+                    "parameters": {key: estimate(*one) for key, one in parameters.items()},
+                    "heldout_gain": self.gains[name],
+                    "runner_up": self.runner_up.get(name, ""),
+                }
+                for name, parameters in self.effects.items()
+            ],
+            "unexplained": [
+                {"covariate": name, "p_value": p_value} for name, p_value in self.unexplained
+            ],
+            "error_before": error(self.before_mm),
+            "error_after": error(self.after_mm),
+            "noise_floor": {
+                "rmse": noise if np.isfinite(noise) else None,
+                "how": "second differences of a dot's place over the frames of a press",
+            },
+            "trials": {"fit": len(self.data.presses) - self.n_test, "test": self.n_test},
+            "field": {
+                "k_s": estimate(*self.k_s, "mm/N"),
+                "decay_mm": estimate(*self.decay_mm, "mm"),
+            },
+        }
+
+
+def diagnose_markers(
+    tracks: MarkerTracks,
+    sensor: Sensor,
+    k_n_mm3_per_n: float,
+    rules: MarkerRules = DEFAULT_RULES,
+) -> MarkerDiagnosis:
+    """Diagnose the field of marker tracks; ``k_n`` gives the size of the contacts.
+
+    Raises ``PressError`` with too few presses that shear the gel.
+    """
+    data = field_data(tracks, sensor, k_n_mm3_per_n, rules.frames)
+    every = list(range(len(data.presses)))
+    test = every[rules.test_every // 2 :: rules.test_every]
+    fit = [one for one in every if one not in test]
+    field, chosen, runner_up = _choose(data, fit, rules)
+    turn, shift, grid_errors = _grid(tracks)
+
+    def offset(names: Sequence[str]) -> FloatArray:
+        grid = turned(tracks.grid_mm, turn * (TURNED in names)) + shift * (SHIFTED in names)
+        return np.asarray(tracks.rest_mm - grid)
+
+    def loss(which: Sequence[int], slip: Slip, names: Sequence[str]) -> float:
+        linear, beside = data.linear(slip, fit), offset(names)
+        return float(sum(_loss(data, one, slip, linear, beside) for one in which))
+
+    whole = loss(fit, field[-1], (TURNED, SHIFTED))
+    grid: tuple[str, ...] = ()
+    for name, other in ((TURNED, (SHIFTED,)), (SHIFTED, (TURNED,))):
+        without = loss(fit, field[-1], other)
+        if without - whole > rules.min_gain * without:
+            grid += (name,)
+    # Errors and gains on presses that neither fitting nor choosing saw.
+    losses = [loss(test, one, ()) for one in field]
+    order = [*chosen, *grid]
+    losses += [loss(test, field[-1], grid[: k + 1]) for k in range(len(grid))]
+    gains = {n: 1.0 - b / a for n, a, b in zip(order, losses, losses[1:], strict=False)}
+    count = sum(int(np.isfinite(data.presses[one].motion_mm).sum()) for one in test)
+    square = sum(float(np.nansum(data.presses[one].motion_mm ** 2)) for one in test)
+    after_mm = float(np.sqrt(losses[-1] / count))
+    # Parameters of all presses.
+    base = fit_slip(data, every, field[0], ("decay",))
+    names = _free(chosen)
+    final = fit_slip(data, every, field[-1], names) if chosen else base
+    linear = data.linear(final, every)
+    stderr, _ = cluster_errors(data, final, linear, names)
+    effects = {name: _parameters(name, final, stderr, turn, shift, grid_errors) for name in order}
+    pitch2 = tracks.pitch_mm**2
+    left = _left(data, final, linear, offset(grid))
+    is_left = after_mm > rules.unexplained * data.noise_mm
+    return MarkerDiagnosis(
+        data=data,
+        base=base,
+        final=final,
+        effects=effects,
+        gains=gains,
+        runner_up=runner_up,
+        before_mm=float(np.sqrt(losses[0] / count)),
+        after_mm=after_mm,
+        motion_mm=float(np.sqrt(square / count)),
+        unexplained=_followed(data, left, rules) if is_left else (),
+        k_s=(float(linear[0]) / pitch2, stderr["compliance"] / pitch2),
+        decay_mm=(final.decay_mm, stderr["decay"]),
+        n_test=len(test),
+    )
+
+
+def _free(chosen: Sequence[str]) -> tuple[str, ...]:
+    """Parameters of the field with these effects."""
+    slips = ("slip",) if PARTIAL_SLIP in chosen else ()
+    return ("decay", *slips, *(PLACE_NAMES if PLACE in chosen else ()))
+
+
+def _choose(
+    data: FieldData, fit: Sequence[int], rules: MarkerRules
+) -> tuple[list[Slip], tuple[str, ...], dict[str, str]]:
+    """Fits without, with one and with all effects of friction; their names; competitors."""
+    count = sum(int(np.isfinite(data.presses[one].motion_mm).sum()) for one in fit)
+    noise = count * data.noise_mm**2
+
+    def loss(slip: Slip) -> float:
+        return float(data.losses(slip, data.linear(slip, fit), fit).sum())
+
+    def is_noise(slip: Slip) -> bool:
+        return loss(slip) < (1.0 + 0.5 * rules.min_gain) * noise
+
+    def gain(slip: Slip, than: Slip) -> float:
+        return 1.0 - loss(slip) / loss(than)
+
+    base = fit_slip(data, fit, Slip(), _free(()))
+    if is_noise(base):
+        return [base], (), {}
+    slipping = fit_slip(data, fit, base, _free((PARTIAL_SLIP,)))
+    slips = gain(slipping, base) >= rules.min_gain
+    if slips and is_noise(slipping):
+        return [base, slipping], (PARTIAL_SLIP,), {}
+    placed = _with_place(data, fit, base, (PLACE,), rules)
+    better = [(gain(one, base), name) for one, name in ((slipping, PARTIAL_SLIP), (placed, PLACE))]
+    if max(better)[0] < rules.min_gain:
+        return [base], (), {}
+    first, second = (slipping, placed) if max(better)[1] == PARTIAL_SLIP else (placed, slipping)
+    names = (PARTIAL_SLIP, PLACE) if first is slipping else (PLACE, PARTIAL_SLIP)
+    runner_up = {names[0]: names[1]} if gain(second, base) > 0.5 * rules.min_gain else {}
+    if is_noise(first):
+        return [base, first], names[:1], runner_up
+    both = min(
+        _with_place(data, fit, slipping, (PARTIAL_SLIP, PLACE), rules),
+        fit_slip(data, fit, placed, _free((PARTIAL_SLIP, PLACE))),
+        key=loss,
+    )
+    # Beside slip the place may have come out better than alone: it is fitted alone from there.
+    alone = fit_slip(data, fit, replace(both, per_friction=0.0), _free((PLACE,)))
+    if loss(alone) < loss(placed):
+        placed = alone
+        if loss(placed) < loss(slipping):
+            first, names = placed, (PLACE, PARTIAL_SLIP)
+    if gain(both, first) < rules.min_gain:
+        return [base, first], names[:1], runner_up
+    return [base, first, both], names, runner_up
+
+
+def _with_place(
+    data: FieldData, fit: Sequence[int], start: Slip, chosen: Sequence[str], rules: MarkerRules
+) -> Slip:
+    """The fit with a place: tried all over the presses, then fitted from the best spot on."""
+    linear = data.linear(start, fit)
+    left = _left(data, start, linear, np.zeros_like(data.tracks.grid_mm))
+    at = [one for one in fit if left[one] > rules.excess * data.noise_mm**2]
+    at = at or [max(fit, key=lambda one: left[one])]
+    centers = np.stack([data.presses[one].center_mm for one in at])
+    reach = np.array([data.presses[one].patch_mm for one in at])
+    low, high = (centers - reach[:, None]).min(axis=0), (centers + reach[:, None]).max(axis=0)
+    step = rules.scan_mm
+    axes = [np.arange(a, b + step / 2, step) for a, b in zip(low, high, strict=True)]
+    spots = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    away = np.linalg.norm(spots[:, None] - centers, axis=2)
+    spots = spots[(away < reach).any(axis=1)]
+    values = list(rules.least_slip)
+    if start.per_friction > 0:
+        values = [rules.more * start.per_friction, rules.less * start.per_friction]
+    tried = [
+        replace(start, place=Place(float(x), float(y), rules.scan_radius_mm, 1.0 / one))
+        for x, y in spots
+        for one in values
+    ]
+    best = min(tried, key=lambda slip: float(data.losses(slip, linear, fit).sum()))
+    found = fit_slip(data, fit, best, PLACE_NAMES)
+    return fit_slip(data, fit, found, _free(chosen))
+
+
+def _loss(
+    data: FieldData, index: int, slip: Slip, linear: FloatArray, offset_mm: FloatArray
+) -> float:
+    """Sum of squares of a press, with the dots at rest ``offset_mm`` (M, 2) beside their places."""
+    motion = data.presses[index].motion_mm
+    off = np.broadcast_to(offset_mm, motion.shape)[np.isfinite(motion)]
+    return float(((data.residual(index, slip, linear) + off) ** 2).sum())
+
+
+def _grid(tracks: MarkerTracks) -> tuple[float, FloatArray, tuple[float, float, float]]:
+    """Turn and shift of the dots at rest, and their errors by the scatter between presses."""
+    seen = np.isfinite(tracks.rest_mm).all(axis=1)
+    turn, shift = rigid_fit(tracks.rest_mm[seen], tracks.grid_mm[seen])
+    force, single = tracks.load["force_normal_n"], list[list[float]]()
+    for press in np.unique(tracks.press):
+        rows = np.flatnonzero(tracks.press == press)
+        places = tracks.places_mm[rows[np.abs(force[rows]) <= AT_REST * force[rows].max()]]
+        known = np.isfinite(places).all(axis=(0, 2))
+        if len(places) and known.sum() > 2:
+            one, beside = rigid_fit(np.median(places[:, known], axis=0), tracks.grid_mm[known])
+            single.append([one, *beside])
+    error = np.full(3, np.nan)
+    if len(single) > 1:
+        error = np.std(single, axis=0, ddof=1) / np.sqrt(len(single))
+    return turn, shift, (float(error[0]), float(error[1]), float(error[2]))
+
+
+def _parameters(
+    name: str,
+    slip: Slip,
+    stderr: dict[str, float],
+    turn_rad: float,
+    shift_mm: FloatArray,
+    grid_errors: tuple[float, float, float],
+) -> dict[str, tuple[float, float, str]]:
+    """Value, standard error and unit of an effect's parameters."""
+    if name == PARTIAL_SLIP:
+        return {"friction": (slip.friction, stderr["slip"] * slip.friction**2, "1")}
+    if name == TURNED:
+        return {"turn_rad": (turn_rad, grid_errors[0], "rad")}
+    if name == SHIFTED:
+        x, y = shift_mm
+        return {
+            "shift_x_mm": (float(x), grid_errors[1], "mm"),
+            "shift_y_mm": (float(y), grid_errors[2], "mm"),
+        }
+    place = slip.place
+    if place is None:
+        return {}
+    mu = place.friction
+    return {
+        "x_mm": (place.x_mm, stderr["place_x"], "mm"),
+        "y_mm": (place.y_mm, stderr["place_y"], "mm"),
+        "radius_mm": (place.radius_mm, stderr["place_radius"], "mm"),
+        "friction": (mu, stderr["place_slip"] * mu**2, "1"),
+    }
+
+
+def _left(data: FieldData, slip: Slip, linear: FloatArray, offset_mm: FloatArray) -> FloatArray:
+    """Mean square of each press's residual (P,), mm²."""
+    return np.array(
+        [
+            _loss(data, one, slip, linear, offset_mm) / np.isfinite(press.motion_mm).sum()
+            for one, press in enumerate(data.presses)
+        ]
+    )
+
+
+def _followed(
+    data: FieldData, left: FloatArray, rules: MarkerRules
+) -> tuple[tuple[str, float], ...]:
+    """The column of the log, at the largest shear, that the residual of presses follows."""
+    columns = {name: [p.load[name] for p in data.presses] for name in data.presses[0].load}
+    found = []
+    for name, values in columns.items():
+        known = np.isfinite(values)
+        if known.sum() > 3 and np.ptp(np.array(values)[known]) > 0:
+            p_value = float(spearmanr(np.array(values)[known], left[known]).pvalue)
+            found.append((p_value * len(columns), name))
+    p_value, name = min(found, default=(1.0, ""))
+    return ((name, min(p_value, 1.0)),) if p_value <= rules.alpha else ()
