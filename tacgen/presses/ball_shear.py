@@ -66,7 +66,8 @@ class BallShear:
         if not inside.any():
             return np.zeros_like(points_mm)
         nodes = self.field.nodes_mm[inside]
-        return np.asarray(dilation_mm(points_mm, nodes, depth_mm[inside], self.cell_mm2))
+        points = np.asarray(points_mm, np.float64)
+        return np.asarray(dilation_mm(points, nodes, depth_mm[inside], self.cell_mm2))
 
     def middle_mm(self, depth_mm: FloatArray) -> FloatArray:
         """Middle (2,) of the pressure of an indentation (rows, columns), gel frame."""
@@ -86,6 +87,7 @@ class BallShear:
 
         ``pressure`` (T) maps (rows, columns) are in N/mm², ``force_n`` (T, 2) the shear force.
         """
+        points = np.asarray(points_mm, np.float64)
         factor = np.ones(self.field.nodes_mm.shape[:2])
         if place is not None:
             nodes = self.field.nodes_mm
@@ -96,7 +98,9 @@ class BallShear:
         state, out = None, np.zeros((len(pressure), *points_mm.shape))
         for frame, (map_n, force) in enumerate(zip(pressure, force_n, strict=True)):
             # The pressure does nothing but limit the traction: its product with friction counts.
-            center = self.middle_mm(map_n)
-            state = self.field.step(map_n * factor, force, 0.0, center, friction, state, tolerance)
-            out[frame] = self.field.motion_mm(state, points_mm, 1.0)
+            center = np.asarray(self.middle_mm(map_n), np.float64)
+            limit = np.asarray(map_n * factor, np.float64)
+            pull = np.asarray(force, np.float64)
+            state = self.field.step(limit, pull, 0.0, center, friction, state, tolerance)
+            out[frame] = self.field.motion_mm(state, points, 1.0)
         return out

@@ -5,7 +5,6 @@ Columns are ``press`` (the log's trial), ``frame`` (running number of the press'
 row) or ``x_mm``, ``y_mm`` (gel frame).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -146,9 +145,9 @@ class _Names:
         press, clock = self.frames[index]
         return f"{self.path}: press {press:g}, {'frame' if self.by_frame else 'time_s'} {clock:g}"
 
-    def several(self, indices: Sequence[int]) -> str:
+    def several(self, indices: IntArray) -> str:
         """Names of a few frames, and how many more there are."""
-        shown = [self(one).removeprefix(f"{self.path}: ") for one in indices[:MAX_NAMED]]
+        shown = [self(int(one)).removeprefix(f"{self.path}: ") for one in indices[:MAX_NAMED]]
         more = len(indices) - len(shown)
         return "; ".join(shown) + (f"; and {more} more frames" if more else "")
 
@@ -298,11 +297,12 @@ def turned(grid_mm: FloatArray, turn_rad: float) -> FloatArray:
 
 def _on_grid(rest_mm: FloatArray, grid: FloatArray, pitch_mm: float, path: Path) -> IntArray:
     """Which point of the grid each dot at rest is, though the grid is turned and shifted."""
-    turn, shift = 0.0, np.zeros(2)
+    moved = grid
     for _ in range(ROUNDS):
-        distance, index = cKDTree(turned(grid, turn) + shift).query(rest_mm)
+        distance, index = cKDTree(moved).query(rest_mm)
         turn, shift = rigid_fit(rest_mm, grid[index])
-    distance, index = cKDTree(turned(grid, turn) + shift).query(rest_mm)
+        moved = turned(grid, turn) + shift
+    distance, index = cKDTree(moved).query(rest_mm)
     worst = int(distance.argmax())
     if len(set(index.tolist())) < len(index) or distance[worst] > JUMP * pitch_mm:
         x, y = rest_mm[worst]

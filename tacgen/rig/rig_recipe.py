@@ -21,7 +21,7 @@ from tacgen.contact.effects import Where, find_effect
 from tacgen.core.config import Located, Section
 from tacgen.core.errors import ContactError
 from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N
-from tacgen.core.yaml_source import YamlSource, load_checked
+from tacgen.core.yaml_source import KeyPath, YamlSource, load_checked
 from tacgen.sensor.description import SensorByName, SensorChoice, sensor_problems
 
 
@@ -252,8 +252,8 @@ def _name_problems(recipe: RigRecipe, source: YamlSource) -> Iterable[str]:
         yield source.problem(("indenters",), "is empty; give at least one ball")
     names = [indenter.name for indenter in recipe.indenters]
     yield from source.repeated("indenters", names, "rename one")
-    markers = ("images", "markers") if recipe.images.markers else None
-    markers = markers or (("markers",) if recipe.markers else None)
+    drawn: KeyPath | None = ("images", "markers") if recipe.images.markers else None
+    markers = drawn or (("markers",) if recipe.markers else None)
     yield from sensor_problems(recipe.sensor, source, markers)
 
 

@@ -76,7 +76,7 @@ def draw_session(case: int, seed: int) -> RigRecipe:
             "indenters": [{"name": f"ball_{i}", "radius_mm": r} for i, r in enumerate(radii)],
             "law": {"k_n_mm3_per_n": rng.uniform(3.5, 7.0), "k_s_mm_per_n": rng.uniform(0.5, 1.2)},
             "schedule": {
-                "presses": int(rng.integers(20, 33)),
+                "presses": int(rng.integers(18, 29)),
                 "force_n": (rng.uniform(1.5, 4.0), rng.uniform(6.0, 10.0)),
                 "shear_ratio": (0.1, top),
             },
@@ -126,7 +126,7 @@ def main() -> None:
             mark = "right" if result["right"] else "WRONG"
             names = " + ".join(result["effects"]) or "nothing"
             errors = [1e3 * result[f"{name}_mm"] for name in ("before", "after", "floor")]
-            print(
+            print(  # noqa: T201
                 f"{result['case']:3d} {mark} {names}: found "
                 f"{' + '.join(result['found']) or 'nothing'}; "
                 f"{errors[0]:.3g} -> {errors[1]:.3g} µm (floor {errors[2]:.3g})",
@@ -143,7 +143,7 @@ def main() -> None:
                 1e3 * np.median([one[f"{name}_mm"] for one in own])
                 for name in ("before", "after", "floor")
             )
-            print(
+            print(  # noqa: T201
                 f"{count} effects: {share:.0%} of {len(own)} right (wanted {wanted:.0%}); median "
                 f"error {before:.3g} -> {after:.3g} µm, noise floor {floor:.3g} µm"
             )

@@ -7,9 +7,11 @@ solved for each trial of the decay ℓ and 1/μ, which is 0 where all points sti
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
@@ -17,16 +19,27 @@ from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 from tacgen.core.errors import PressError
 from tacgen.core.records import Estimate, Sensor
 from tacgen.presses.ball_shear import STICKS, BallShear, Place
-from tacgen.presses.marker_tracks import AT_REST, MarkerTracks
+from tacgen.presses.marker_tracks import (
+    AT_REST,
+    MarkerTracks,
+    read_marker_tracks,
+    tracks_in_pictures,
+)
+from tacgen.presses.press_folder import WITH_FORCES, read_press_folder
+from tacgen.presses.press_log import PressLog
+from tacgen.report.figures import arrows
+from tacgen.sensor.description import load_sensor
 
 MOST_FRAMES = 16
 """Of a press that are fitted, from loading over the largest shear back to none: with half of them
 the steps of the load between are so coarse that μ comes out a few per cent wrong."""
 LEAST_PRESSES = 4  # with shear: fewer leave no scatter to give intervals by
 START_DECAY_MM = 1.5
-START_SLIPS = (0.7, 1.5, 3.0, 6.0)  # 1/μ from which the fit starts, the best of them
+START_SLIPS = (0.6, 1.2, 2.4, 5.0)  # 1/μ from which the fit starts, the best of them
+FIRST_SLIP = 25.0  # times STEP, 1/μ at which a rim slips that is seen
 STEP = 0.02  # of a parameter, by which its derivative is taken: the slip's rim goes node by node
 FIELD_TOLERANCE = 1e-4  # of the motion, of which a step of a parameter changes some 1e-2
+ARROWS = 3  # presses that are drawn: the worst explained, the median and the best
 TOLERANCE = 2e-3  # of the parameters, far below any interval
 MOST_STEPS = 10
 PLACE_NAMES = ("place_x", "place_y", "place_radius", "place_slip")
@@ -131,6 +144,20 @@ class FieldData:
 MOST_KNOWN = 6000  # strains that are kept: some 80 MB of them
 
 
+def load_tracks(markers: Path, sensor: str | None, log: PressLog) -> tuple[Sensor, MarkerTracks]:
+    """The sensor of that name, and the tracks of a ``markers.csv`` or a folder of pictures.
+
+    Raises ``PressError`` if they cannot be used, or no sensor is named.
+    """
+    if sensor is None:
+        msg = f"{markers}: whose dots are these? Name their sensor with --sensor"
+        raise PressError(msg)
+    known = load_sensor(sensor, needs_table=False)
+    if Path(markers).is_dir():
+        return known, tracks_in_pictures(read_press_folder(markers, WITH_FORCES), known, log)
+    return known, read_marker_tracks(Path(markers), known, log)
+
+
 def field_data(
     tracks: MarkerTracks, sensor: Sensor, k_n_mm3_per_n: float, most_frames: int = MOST_FRAMES
 ) -> FieldData:
@@ -152,7 +179,7 @@ def field_data(
         center = np.array([np.median(load["x_mm"]), np.median(load["y_mm"])])
         radius = float(np.median(load["radius_mm"]))
         known = np.isfinite([*center, radius]).all() and np.isfinite(force).all()
-        seen = np.isfinite(motion).any(axis=(1, 2))
+        seen: BoolArray = np.asarray(np.isfinite(motion).any(axis=(1, 2)))
         chosen = _chosen(normal, force, seen, most_frames)
         if not known or len(chosen) < 2 or size[chosen].max() <= AT_REST * normal.max():
             continue
@@ -214,9 +241,11 @@ def fit_slip(data: FieldData, which: Sequence[int], start: Slip, names: Sequence
         return np.concatenate([data.residual(one, slip, linear) for one in which])
 
     if "slip" in names and not start.per_friction:
-        starts = [np.where(np.array(names) == "slip", one, first) for one in START_SLIPS]
+        starts = [np.where(np.array(names) == "slip", one, first) for one in (0.0, *START_SLIPS)]
         first = min(starts, key=lambda x: float((off(x) ** 2).sum()))
-    scale = np.maximum(np.abs(first), 0.5)
+        if first is starts[0]:
+            return of(first)
+    scale = _scales(names, first)
 
     def at(z: FloatArray) -> FloatArray:
         # Derivatives are taken by steps relative to z, which is 1 at the start.
@@ -229,7 +258,7 @@ def fit_slip(data: FieldData, which: Sequence[int], start: Slip, names: Sequence
         x_scale=0.3,
         diff_step=STEP,
         xtol=TOLERANCE,
-        ftol=1e-5,
+        ftol=1e-4,
         max_nfev=MOST_STEPS,
     )
     return of(at(found.x))
@@ -289,23 +318,21 @@ def fit_field(data: FieldData) -> FieldFit:
     which = range(len(data.presses))
     sticking = fit_slip(data, which, Slip(), ("decay",))
     names = ("decay", "slip")
-    slip = fit_slip(data, which, sticking, names)
-    linear = data.linear(slip, which)
-    stderr, per_slip = cluster_errors(data, slip, linear, names)
-    if per_slip[0] <= 1.96 * per_slip[1]:  # no slip: the decay is as if there were none
-        slip, linear = sticking, data.linear(sticking, which)
-        stderr, _ = cluster_errors(data, slip, linear, ("decay",))
+    slip, linear, stderr = refined(data, fit_slip(data, which, sticking, names), names)
+    per, per_stderr = slip.per_friction, stderr["slip"]
+    if per <= 1.96 * per_stderr:  # no slip: the decay is as if there were none
+        slip, linear, stderr = refined(data, sticking, ("decay",))
     pitch2 = data.tracks.pitch_mm**2
     friction = None
     if slip.per_friction > 0:
-        friction = Estimate(slip.friction, per_slip[1] * slip.friction**2, "1")
+        friction = Estimate(slip.friction, per_stderr * slip.friction**2, "1")
     motions = np.concatenate([p.motion_mm[np.isfinite(p.motion_mm)] for p in data.presses])
     losses = data.losses(slip, linear, which)
     return FieldFit(
         k_s=Estimate(float(linear[0]) / pitch2, stderr["compliance"] / pitch2, "mm/N"),
         decay=Estimate(slip.decay_mm, stderr["decay"], "mm"),
         friction=friction,
-        least_friction=1.0 / (max(per_slip[0], 0.0) + 1.96 * per_slip[1]),
+        least_friction=1.0 / (per + 1.96 * per_stderr),
         slip=slip,
         linear=linear,
         rmse_mm=float(np.sqrt(losses.sum() / len(motions))),
@@ -315,25 +342,28 @@ def fit_field(data: FieldData) -> FieldFit:
     )
 
 
-def cluster_errors(
-    data: FieldData, slip: Slip, linear: FloatArray, names: Sequence[str]
-) -> tuple[dict[str, float], tuple[float, float]]:
-    """Standard errors of all parameters, by the scatter between presses; and 1/μ with its own.
+def refined(
+    data: FieldData, slip: Slip, names: Sequence[str]
+) -> tuple[Slip, FloatArray, dict[str, float]]:
+    """One Gauss–Newton step of all presses from ``slip`` on; and standard errors.
 
-    ``names`` as of ``fit_slip``. Each error is a 1.96th of half a 95 % interval of Student's t, of
-    as many degrees of freedom as there are presses beyond parameters.
+    ``names`` as of ``fit_slip``. Returns the parameters after the step, the linear ones, and the
+    errors of both (``compliance``, ``dilation`` and ``names``) by the scatter between presses: a
+    1.96th of half a 95 % interval of Student's t, of as many degrees of freedom as there are
+    presses beyond parameters.
 
     Source: Liang & Zeger 1986, the sandwich of clusters; CR1's factor.
     """
     which = range(len(data.presses))
+    linear = data.linear(slip, which)
     x0 = np.array([_get(slip, name) for name in names])
-    steps = STEP * np.maximum(np.abs(x0), 0.5)
+    steps = STEP * _scales(names, x0)
     bread, scores = np.zeros((2 + len(names),) * 2), []
     for index in which:
         columns, motion = data.rows(index, slip)
         slopes = []
         for name, value, step in zip(names, x0, steps, strict=True):
-            low = max(value - step, 0.0) if "slip" in name else value - step
+            low = max(value - step, BOUNDS[name][0])
             ends = [_with(slip, {name: one}) for one in (value + step, low)]
             up, down = (data.rows(index, one)[0] @ linear for one in ends)
             slopes.append((up - down) / (value + step - low))
@@ -346,7 +376,22 @@ def cluster_errors(
     covariance = meat.T @ meat * count / free
     errors = np.sqrt(np.diag(covariance)) * float(stdtrit(free, 0.975)) / 1.96
     found = dict(zip(("compliance", "dilation", *names), errors.tolist(), strict=True))
-    return found, (slip.per_friction, found.get("slip", 0.0))
+    low_high = np.array([BOUNDS[name] for name in names]).T
+    moved = np.clip(x0 + meat.sum(axis=0)[2:], *low_high)
+    after = _with(slip, dict(zip(names, moved.tolist(), strict=True)))
+    if (
+        data.losses(after, data.linear(after, which), which).sum()
+        < data.losses(slip, linear, which).sum()
+    ):
+        slip, linear = after, data.linear(after, which)
+    return slip, linear, found
+
+
+def _scales(names: Sequence[str], x: FloatArray) -> FloatArray:
+    """How far parameters go at once: of slips their share, of lengths a multiple of a cell."""
+    least = np.where((np.array(names) == "slip") & (x == 0.0), FIRST_SLIP, 0.5)
+    lengths = [5.0 if name in PLACE_NAMES[:3] else 0.0 for name in names]
+    return np.maximum(np.maximum(np.abs(x), least), lengths)
 
 
 def _get(slip: Slip, name: str) -> float:
@@ -364,3 +409,24 @@ def _with(slip: Slip, values: Mapping[str, float]) -> Slip:
         x, y, radius, per = (values.get(one, _get(slip, one)) for one in PLACE_NAMES)
         place = Place(x, y, radius, 1.0 / max(per, 1.0 / STICKS))
     return Slip(decay, per_friction, place)
+
+
+def arrow_figure(
+    data: FieldData, slip: Slip, linear: FloatArray, beside_mm: FloatArray | float = 0.0
+) -> Figure:
+    """Measured motion, model and difference of a few presses, the worst explained first.
+
+    ``beside_mm`` (M, 2) is by how much dots at rest are off where the model has them.
+    """
+    every = range(len(data.presses))
+    ranked = np.argsort([-(data.residual(one, slip, linear) ** 2).mean() for one in every])
+    rows = []
+    for index in ranked[np.unique(np.linspace(0, len(ranked) - 1, ARROWS).round().astype(int))]:
+        press = data.presses[index]
+        top = int(np.hypot(*press.force_n.T).argmax())
+        model = linear[0] * data.strain(int(index), slip)[top] + linear[1] * press.dilation_mm[top]
+        normal, shear = press.load["force_normal_n"], np.hypot(*press.force_n[top])
+        title = f"press {press.number}, {normal:.1f} N, shear {shear:.1f} N"
+        rows.append((title, data.tracks.rest_mm, press.motion_mm[top] + beside_mm, model))
+    scale = data.sensor.mm_per_px
+    return arrows(rows, (data.sensor.width_px * scale, data.sensor.height_px * scale))

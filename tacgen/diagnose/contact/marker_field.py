@@ -10,18 +10,21 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
 from tacgen.calibrate.contact.marker_fit import (
     PLACE_NAMES,
     FieldData,
     Slip,
-    cluster_errors,
+    arrow_figure,
     field_data,
     fit_slip,
+    refined,
 )
+from tacgen.contact.law import ContactLaw
 from tacgen.core.arrays import FloatArray
-from tacgen.core.records import Sensor
+from tacgen.core.records import Estimate, Sensor
 from tacgen.presses.ball_shear import Place
 from tacgen.presses.marker_tracks import AT_REST, MarkerTracks, rigid_fit, turned
 
@@ -40,9 +43,9 @@ class MarkerRules:
     min_gain: float = 0.02
     """Share of the squared error, noise included, that an effect explains: chance and the thinned
     course of the load reach 0.01."""
-    frames: int = 8
+    frames: int = 7
     """Of a press, in the choice: a place is tried in some hundred spots."""
-    scan_mm: float = 1.25
+    scan_mm: float = 1.5
     """Distance of those spots: half of a contact's radius."""
     scan_radius_mm: float = 1.75
     """Of a place that is tried; it is fitted then."""
@@ -52,7 +55,7 @@ class MarkerRules:
     """Times 1/μ in a place that is tried."""
     less: float = 0.25
     """The same, of a place with more friction."""
-    least_slip: tuple[float, ...] = (2.5, 6.0)
+    least_slip: float = 4.0
     """1/μ in a place that is tried in a contact that sticks."""
     test_every: int = 4
     """Every so many presses one is held out."""
@@ -69,9 +72,11 @@ DEFAULT_RULES = MarkerRules()
 class MarkerDiagnosis:
     """What the residual of the marker field was traced to.
 
-    ``base`` and ``final`` are fits to all presses, ``data`` their frames. Errors, mm, are of one
-    coordinate of a dot in held-out presses, before and after; ``gains`` are the shares of the
-    squared error there that effects take away, in the order in which they were added.
+    ``base`` is fitted to the presses that are not held out, ``final`` to all; ``data`` are their
+    frames. Errors, mm, are of one coordinate of a dot in held-out presses, before and after;
+    ``gains`` are the shares of the squared error there that effects take away, in the order in
+    which they were added. ``beside_mm`` (M, 2) is by how much dots at rest are off where the base,
+    and the extended field, have them.
     """
 
     data: FieldData
@@ -87,6 +92,7 @@ class MarkerDiagnosis:
     k_s: tuple[float, float]
     decay_mm: tuple[float, float]
     n_test: int
+    beside_mm: tuple[FloatArray, FloatArray]
 
     @property
     def verdict(self) -> Literal["sufficient", "effect_found", "unexplained"]:
@@ -116,6 +122,24 @@ class MarkerDiagnosis:
         text = f"The shear field lacks {' and '.join(names)}: the error goes from {error} to "
         text += f"{um[1]:.3g} µm ({floor})"
         return text + (f", and a residual that follows {left} remains." if left else ".")
+
+    def extended(self, law: ContactLaw) -> ContactLaw:
+        """The law with what the field says that it lacks."""
+        found: dict[str, Any] = {"decay_mm": Estimate(*self.decay_mm, "mm")}
+        if PARTIAL_SLIP in self.effects:
+            value, stderr, _ = self.effects[PARTIAL_SLIP]["friction"]
+            found["friction"] = Estimate(value, stderr)
+        if np.isnan(law.k_s_mm_per_n.value):
+            found["k_s_mm_per_n"] = Estimate(*self.k_s, "mm/N")
+        if np.isnan(law.marker_pitch_mm):
+            found["marker_pitch_mm"] = self.data.tracks.pitch_mm
+        return replace(law, **found)
+
+    def figure(self, *, extended: bool) -> Figure:
+        """Arrows of a few presses, of the field that sticks or with the effects that were found."""
+        slip, beside_mm = (self.base, self.final)[extended], self.beside_mm[extended]
+        linear = self.data.linear(slip, range(len(self.data.presses)))
+        return arrow_figure(self.data, slip, linear, beside_mm)
 
     def record(self) -> dict[str, Any]:
         """The channel ``markers`` of ``diagnosis.json``."""
@@ -197,11 +221,9 @@ def diagnose_markers(
     square = sum(float(np.nansum(data.presses[one].motion_mm ** 2)) for one in test)
     after_mm = float(np.sqrt(losses[-1] / count))
     # Parameters of all presses.
-    base = fit_slip(data, every, field[0], ("decay",))
     names = _free(chosen)
-    final = fit_slip(data, every, field[-1], names) if chosen else base
-    linear = data.linear(final, every)
-    stderr, _ = cluster_errors(data, final, linear, names)
+    base = field[0]
+    final, linear, stderr = refined(data, field[-1], names)
     effects = {name: _parameters(name, final, stderr, turn, shift, grid_errors) for name in order}
     pitch2 = tracks.pitch_mm**2
     left = _left(data, final, linear, offset(grid))
@@ -220,6 +242,7 @@ def diagnose_markers(
         k_s=(float(linear[0]) / pitch2, stderr["compliance"] / pitch2),
         decay_mm=(final.decay_mm, stderr["decay"]),
         n_test=len(test),
+        beside_mm=(offset(()), offset(grid)),
     )
 
 
@@ -240,7 +263,7 @@ def _choose(
         return float(data.losses(slip, data.linear(slip, fit), fit).sum())
 
     def is_noise(slip: Slip) -> bool:
-        return loss(slip) < (1.0 + 0.5 * rules.min_gain) * noise
+        return loss(slip) * (1.0 - rules.min_gain) < noise  # no effect can explain its share
 
     def gain(slip: Slip, than: Slip) -> float:
         return 1.0 - loss(slip) / loss(than)
@@ -261,11 +284,10 @@ def _choose(
     runner_up = {names[0]: names[1]} if gain(second, base) > 0.5 * rules.min_gain else {}
     if is_noise(first):
         return [base, first], names[:1], runner_up
-    both = min(
-        _with_place(data, fit, slipping, (PARTIAL_SLIP, PLACE), rules),
-        fit_slip(data, fit, placed, _free((PARTIAL_SLIP, PLACE))),
-        key=loss,
-    )
+    both = _with_place(data, fit, slipping, (PARTIAL_SLIP, PLACE), rules)
+    if not is_noise(both):
+        other = fit_slip(data, fit, placed, _free((PARTIAL_SLIP, PLACE)))
+        both = min(both, other, key=loss)
     # Beside slip the place may have come out better than alone: it is fitted alone from there.
     alone = fit_slip(data, fit, replace(both, per_friction=0.0), _free((PLACE,)))
     if loss(alone) < loss(placed):
@@ -293,7 +315,7 @@ def _with_place(
     spots = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
     away = np.linalg.norm(spots[:, None] - centers, axis=2)
     spots = spots[(away < reach).any(axis=1)]
-    values = list(rules.least_slip)
+    values = [rules.least_slip]
     if start.per_friction > 0:
         values = [rules.more * start.per_friction, rules.less * start.per_friction]
     tried = [
