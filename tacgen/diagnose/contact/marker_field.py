@@ -40,9 +40,8 @@ PARTIAL_SLIP, PLACE, TURNED, SHIFTED = (
 class MarkerRules:
     """Thresholds of the choice, set on other seeds of validation/blind/markers.py than reported."""
 
-    min_gain: float = 0.02
-    """Share of the squared error, noise included, that an effect explains: chance and the thinned
-    course of the load reach 0.01."""
+    min_gain: float = 0.005
+    """Share of the squared error, noise included, that an effect explains: by chance 0.001."""
     frames: int = 7
     """Of a press, in the choice: a place is tried in some hundred spots."""
     scan_mm: float = 1.5
