@@ -16,8 +16,8 @@ its traction and follows from there, one that is left springs back. Between two 
 taken to be pressed first, then sheared and turned.
 
 What remains approximate: motion along and across the shear reaches as far, pressure alone moves no
-point (``contact.shear.dilation_mm`` is added to the markers), and the lattice's border, the window,
-is free: all of the motion lies in it.
+point (``contact.shear.dilation_mm`` is added to the markers), and beyond the window the gel goes on
+without an end.
 """
 
 import math
@@ -30,12 +30,17 @@ from numpy.typing import NDArray
 from tacgen.contact.raster import Float64
 from tacgen.core.compiled import njit
 
-LATTICE_MM = 0.5  # distance of the points at which the field is solved
-SKIN = 0.2  # ε: part of the compliance that is of a point by itself
+LATTICE_MM = 0.6  # distance of the points at which the field is solved
+SKIN = 0.1
+"""ε, the part of the compliance that a point has by itself."""
+AHEAD = 5.0
+"""ℓ_p² / ℓ², how much farther a push reaches ahead than aside: of an incompressible layer."""
 MOST_SWEEPS = 400
-TOLERANCE = 1e-6  # of force and motion, to which a frame is solved
+TOLERANCE = 1e-5  # of force and motion, to which a frame is solved
 GROSS_SLIP = 0.98
 """Share of what friction can hold up to which sticking points are sought; above, all slip."""
+LEAST_SEEN = 0.3
+"""Part of the motion that markers show at least: beyond their grid D is not what k_s F_s says."""
 GRAIN = 1e-9  # N/mm² to which the state is rounded, so that the next frame does not see last bits
 
 
@@ -47,7 +52,9 @@ class ShearState:
     moved by c (w + ε t). ``held`` is the part of the traction that sticking and slipping give (see
     ``ShearField.step``), ``pressure`` (rows, columns) the normal part, ``sticks`` (rows, columns)
     where the object holds the gel. ``slide`` (3,) is by how much the object has moved since the
-    frame before: along x and y at ``center_mm`` (times c: mm), and its turn.
+    frame before: along x and y at ``center_mm`` (times c: mm), and its turn. ``seen`` (2,) is the
+    part of the motion along x and y that the markers show: D, their sum, is k_s F_s wherever the
+    contact is, and u larger by 1 / ``seen``.
     """
 
     sheet: Float64
@@ -57,6 +64,26 @@ class ShearState:
     sticks: NDArray[np.bool_]
     slide: Float64
     center_mm: Float64
+    seen: Float64
+
+
+@njit(cache=True, nogil=True)
+def weighted(weight: Float64, values: Float64) -> Float64:
+    """Sums (n,) of values (rows, columns, n) by their weights, the same on every processor."""
+    sums = np.zeros(values.shape[2])
+    for r in range(weight.shape[0]):
+        for c in range(weight.shape[1]):
+            for k in range(values.shape[2]):
+                sums[k] += weight[r, c] * values[r, c, k]
+    return sums
+
+
+@njit(cache=True, nogil=True)
+def _add(sums: Float64, k: float, x: float, y: float) -> None:
+    sums[0] += k
+    sums[1] += k * x
+    sums[2] += k * y
+    sums[3] += k * (x * x + y * y)
 
 
 @njit(cache=True, nogil=True)
@@ -68,58 +95,73 @@ def _sweep(
     traction_before: Float64,
     limit: Float64,
     stiff: Float64,
+    squares: Float64,
     x_mm: Float64,
     y_mm: Float64,
     slide: Float64,
     alpha: float,
-    skin: float,
     over: float,
     sums: Float64,
 ) -> float:
     """One pass of successive over-relaxation over the lattice; returns the largest change.
 
-    Arrays have a margin of one, which is 0. ``limit`` is μ p, negative where nothing touches,
-    ``stiff`` one more than α times the neighbours. ``sums`` (11,) gets Σ t_x, Σ t_y, Σ r × t, and
-    for the points that touch Σ k, Σ k x, Σ k y, Σ k r² of their stiffness against the object alone,
-    and the same when the sheet moves with it where it sticks.
+    Arrays have a margin of one, which is 0. ``limit`` is μ p, negative where nothing touches;
+    ``stiff`` the sheet's own stiffness of a point, ``squares`` 1 for each square of four points
+    (above and left of the point of its place), on which ∇ · w is taken. ``sums`` (11,) gets Σ t_x,
+    Σ t_y, Σ r × t, and for the points that touch Σ k, Σ k x, Σ k y, Σ k r² of their stiffness
+    against the object alone, and the same when the sheet moves with it where it sticks.
     """
-    most = 0.0
+    most, beta = 0.0, 0.25 * (AHEAD - 1.0) * alpha
     sums[:] = 0.0
     for r in range(1, limit.shape[0] - 1):
         for c in range(1, limit.shape[1] - 1):
-            each = 1.0 / stiff[r, c]
-            wx = sheet[r - 1, c, 0] + sheet[r + 1, c, 0] + sheet[r, c - 1, 0] + sheet[r, c + 1, 0]
-            wy = sheet[r - 1, c, 1] + sheet[r + 1, c, 1] + sheet[r, c - 1, 1] + sheet[r, c + 1, 1]
-            wx, wy = each * alpha * wx, each * alpha * wy
+            each_x, each_y = 1.0 / stiff[r, c, 0], 1.0 / stiff[r, c, 1]
+            x0, y0 = sheet[r, c, 0], sheet[r, c, 1]
+            xa, ya = sheet[r - 1, c, 0], sheet[r - 1, c, 1]  # above, below, left and right
+            xb, yb = sheet[r + 1, c, 0], sheet[r + 1, c, 1]
+            xl, yl = sheet[r, c - 1, 0], sheet[r, c - 1, 1]
+            xr, yr = sheet[r, c + 1, 0], sheet[r, c + 1, 1]
+            xal, yal = sheet[r - 1, c - 1, 0], sheet[r - 1, c - 1, 1]
+            xar, yar = sheet[r - 1, c + 1, 0], sheet[r - 1, c + 1, 1]
+            xbl, ybl = sheet[r + 1, c - 1, 0], sheet[r + 1, c - 1, 1]
+            xbr, ybr = sheet[r + 1, c + 1, 0], sheet[r + 1, c + 1, 1]
+            al, ar, bl, br = (
+                squares[r, c], squares[r, c + 1], squares[r + 1, c], squares[r + 1, c + 1]
+            )  # fmt: skip
+            own = beta * (al + ar + bl + br)
+            # Twice the divergence on the four squares around.
+            al *= xa - xal + x0 - xl + yl - yal + y0 - ya
+            ar *= xar - xa + xr - x0 + y0 - ya + yr - yar
+            bl *= x0 - xl + xb - xbl + ybl - yl + yb - y0
+            br *= xr - x0 + xbr - xb + yb - y0 + ybr - yr
+            wx = (own * x0 + alpha * (xa + xb + xl + xr) - beta * (al - ar + bl - br)) * each_x
+            wy = (own * y0 + alpha * (ya + yb + yl + yr) - beta * (al + ar - bl - br)) * each_y
             if limit[r, c] >= 0.0:
                 x, y = x_mm[c], y_mm[r]
-                alone = along = 1.0 / (skin + (1.0 - skin) * each)
+                alone = 1.0 / (SKIN + (1.0 - SKIN) * max(each_x, each_y))
+                alone_x = 1.0 / (SKIN + (1.0 - SKIN) * each_x)
+                alone_y = 1.0 / (SKIN + (1.0 - SKIN) * each_y)
+                along = alone
                 ahead_x = slide[0] - slide[2] * y + sheet_before[r, c, 0] - wx
                 ahead_y = slide[1] + slide[2] * x + sheet_before[r, c, 1] - wy
-                tx = (skin * traction_before[r, c, 0] + ahead_x) * alone
-                ty = (skin * traction_before[r, c, 1] + ahead_y) * alone
+                tx = (SKIN * traction_before[r, c, 0] + ahead_x) * alone_x
+                ty = (SKIN * traction_before[r, c, 1] + ahead_y) * alone_y
                 size = math.sqrt(tx * tx + ty * ty)
                 sticks[r, c] = size <= limit[r, c]
                 if sticks[r, c]:
                     held = sticks[r - 1, c] + sticks[r + 1, c] + sticks[r, c - 1] + sticks[r, c + 1]
-                    along = stiff[r, c] - held * alpha
+                    along = 1.0 + (stiff[r, c, 0] - 1.0) * (1.0 - 0.25 * held)
                 else:
                     share = limit[r, c] / size
                     tx, ty, alone, along = share * tx, share * ty, share * alone, share * along
                 traction[r, c, 0], traction[r, c, 1] = tx, ty
-                wx, wy = wx + (1.0 - skin) * tx * each, wy + (1.0 - skin) * ty * each
+                wx, wy = wx + (1.0 - SKIN) * tx * each_x, wy + (1.0 - SKIN) * ty * each_y
                 sums[0] += tx
                 sums[1] += ty
                 sums[2] += x * ty - y * tx
-                sums[3] += alone
-                sums[4] += alone * x
-                sums[5] += alone * y
-                sums[6] += alone * (x * x + y * y)
-                sums[7] += along
-                sums[8] += along * x
-                sums[9] += along * y
-                sums[10] += along * (x * x + y * y)
-            wx, wy = over * (wx - sheet[r, c, 0]), over * (wy - sheet[r, c, 1])
+                _add(sums[3:7], alone, x, y)
+                _add(sums[7:], along, x, y)
+            wx, wy = over * (wx - x0), over * (wy - y0)
             sheet[r, c, 0] += wx
             sheet[r, c, 1] += wy
             most = max(most, abs(wx), abs(wy))
@@ -144,12 +186,12 @@ def _solve(
     traction_before: Float64,
     limit: Float64,
     stiff: Float64,
+    squares: Float64,
     x_mm: Float64,
     y_mm: Float64,
     load: Float64,
     arm_mm: float,
     alpha: float,
-    skin: float,
     over: float,
     tolerance: float,
     slide: Float64,
@@ -163,8 +205,8 @@ def _solve(
     size = math.sqrt(load[0] ** 2 + load[1] ** 2 + (load[2] / arm_mm) ** 2)
     for sweep in range(MOST_SWEEPS):
         most = _sweep(
-            *(sheet, traction, sticks, sheet_before, traction_before, limit, stiff, x_mm, y_mm),
-            *(slide, alpha, skin, over, sums),
+            *(sheet, traction, sticks, sheet_before, traction_before, limit, stiff, squares),
+            *(x_mm, y_mm, slide, alpha, over, sums),
         )
         off[:] = load - sums[:3]
         wrong = math.sqrt(off[0] ** 2 + off[1] ** 2 + (off[2] / arm_mm) ** 2)
@@ -186,7 +228,8 @@ class ShearField:
     """The lattice of one pad's gel, ``width_mm`` × ``height_mm``, about the gel frame's origin.
 
     ``decay_mm`` is ℓ; ``lattice_mm`` the distance of its points, of which the sides are multiples
-    up to rounding. ``nodes_mm`` (rows, columns, 2) are their places x, y.
+    up to rounding. ``nodes_mm`` (rows, columns, 2) are their places x, y. D is summed over
+    ``markers_mm`` (n, 2), which stand ``marker_pitch_mm`` apart; None: ∫ u dA over the window.
     """
 
     def __init__(
@@ -195,23 +238,60 @@ class ShearField:
         height_mm: float,
         decay_mm: float,
         lattice_mm: float = LATTICE_MM,
-        skin: float = SKIN,
+        markers_mm: Float64 | None = None,
+        marker_pitch_mm: float = math.nan,
     ) -> None:
         rows = max(1, round(height_mm / lattice_mm))
         columns = max(1, round(width_mm / lattice_mm))
         self.shape = rows, columns
-        self.lattice_mm, self.decay_mm, self._skin = lattice_mm, decay_mm, skin
+        self.lattice_mm, self.decay_mm = lattice_mm, decay_mm
         self._x_mm = (np.arange(columns) - (columns - 1) / 2) * lattice_mm
         self._y_mm = (np.arange(rows) - (rows - 1) / 2) * lattice_mm
         self.nodes_mm = np.stack(np.meshgrid(self._x_mm, self._y_mm), axis=-1)
         self._alpha = (decay_mm / lattice_mm) ** 2
-        neighbours = sum(
-            _wide(np.ones(self.shape))[r : rows + r, c : columns + c]
-            for r, c in ((0, 1), (2, 1), (1, 0), (1, 2))
-        )
-        self._stiff = _wide(1.0 + self._alpha * np.asarray(neighbours))
-        jacobi = 4 * self._alpha / (1 + 4 * self._alpha)
+        self._squares = np.zeros((rows + 2, columns + 2))
+        self._squares[2:-1, 2:-1] = 1.0
+        beta = (AHEAD - 1.0) * self._alpha
+        inner = 1.0 + 4.0 * self._alpha + beta
+        stiff = np.ones((rows, columns, 2))
+        for r, c in ((1, 1), (1, 2), (2, 1), (2, 2)):
+            stiff += 0.25 * beta * self._squares[r : rows + r, c : columns + c, None]
+        # Beyond the border the sheet goes on: its motion falls off by e in ℓ aside, ℓ_p ahead.
+        aside, ahead = decay_mm / lattice_mm, math.sqrt(AHEAD) * decay_mm / lattice_mm
+        for axis, beyond in ((0, (aside, ahead)), (1, (ahead, aside))):
+            edge = np.moveaxis(stiff, axis, 0)
+            edge[1:] += self._alpha
+            edge[:-1] += self._alpha
+            edge[0] += beyond
+            edge[-1] += beyond
+        self._stiff = _wide(stiff)
+        self._stiff[self._stiff == 0.0] = 1.0
+        jacobi = 1.0 - 1.0 / inner
         self._over = 2.0 / (1.0 + math.sqrt(1.0 - jacobi**2))  # Young 1954: the fastest
+        counted = np.ones(self.shape)
+        if markers_mm is not None:
+            counted = _counted(self.shape, self.nodes_mm[0, 0], lattice_mm, markers_mm)
+            counted *= (marker_pitch_mm / lattice_mm) ** 2
+        self._seen = np.stack([self._share_seen(axis, counted) for axis in (0, 1)], axis=-1)
+
+    def _share_seen(self, axis: int, counted: Float64) -> Float64:
+        """What the markers' sum has of a force at each node along an axis, over c times it.
+
+        ``counted`` is how often a node's motion is in the sum, times what a marker stands for over
+        a cell. The sheet answers i by j as j by i: it is the motion by such a pull.
+        """
+        pull, sums, slide = _wide(counted), np.zeros(11), np.zeros(3)
+        sheet, held, still = (_wide(np.zeros((*self.shape, 2))) for _ in range(3))
+        slide[axis] = 1e9  # far beyond what friction holds: what slips is pulled by the limit
+        across = np.zeros(max(pull.shape))
+        for _ in range(MOST_SWEEPS):
+            most = _sweep(
+                *(sheet, held, pull < 0, still, still, pull, self._stiff, self._squares),
+                *(across, across, slide, self._alpha, self._over, sums),
+            )
+            if most < TOLERANCE:
+                break
+        return np.asarray(sheet[1:-1, 1:-1, axis] + SKIN * counted)
 
     def step(
         self,
@@ -249,8 +329,13 @@ class ShearField:
         limit[touches] = friction * pressure[touches]
         load = np.array([*force, float(torsion_n_mm)]) / self.lattice_mm**2
         x_mm, y_mm = self._x_mm - center[0], self._y_mm - center[1]
-        arm_mm = np.hypot(x_mm, y_mm[:, None])
-        within = load * min(1.0, GROSS_SLIP / max(_demand(load, limit, touches, arm_mm), 1e-12))
+        arm_mm = np.sqrt(x_mm**2 + y_mm[:, None] ** 2)
+        ones = np.ones((*self.shape, 1))
+        total, arm = weighted(pressure, np.concatenate([ones, arm_mm[..., None]], axis=-1))
+        # Howe & Cutkosky 1996: the limit surface as an ellipsoid.
+        demand = math.hypot(*load[:2]) / max(friction * total, 1e-12)
+        demand = math.hypot(demand, load[2] / max(friction * arm, 1e-12))
+        within = load * min(1.0, GROSS_SLIP / max(demand, 1e-12))
         start = self._at_rest(center) if before is None else before
         sheet, held, sticks = _wide(start.sheet), _wide(np.zeros((*self.shape, 2))), _wide(touches)
         slide = np.zeros(3)
@@ -263,44 +348,61 @@ class ShearField:
                 _wide(start.held),
                 _wide(limit),
                 self._stiff,
+                self._squares,
                 np.pad(x_mm, 1),
                 np.pad(y_mm, 1),
                 within,
-                max(float(arm_mm[touches].mean()), self.lattice_mm),
+                max(float(arm / total), self.lattice_mm),
                 self._alpha,
-                self._skin,
                 self._over,
                 tolerance,
                 slide,
             )
         sheet, held, sticks = (one[1:-1, 1:-1] for one in (sheet, held, sticks))
         # What the sweeps, or friction, leave of the force acts as the pressure does.
-        rest = load[:2] - held.sum(axis=(0, 1))
-        traction = held + (pressure / pressure.sum())[..., None] * rest
+        share = pressure / total
+        rest = load[:2] - weighted(ones[..., 0], held)
+        traction = held + share[..., None] * rest
         sheet, held = np.round(sheet / GRAIN) * GRAIN, np.round(held / GRAIN) * GRAIN
-        return ShearState(sheet, held, traction, pressure, sticks, slide, center)
+        seen = np.maximum(weighted(share, self._seen), LEAST_SEEN)
+        return ShearState(sheet, held, traction, pressure, sticks, slide, center, seen)
 
     def _at_rest(self, center_mm: Float64) -> ShearState:
         nothing = np.zeros((*self.shape, 2))
         sticks = np.zeros(self.shape, bool)
         flat = np.zeros(self.shape)
-        return ShearState(nothing, nothing, nothing, flat, sticks, np.zeros(3), center_mm)
+        return ShearState(
+            nothing, nothing, nothing, flat, sticks, np.zeros(3), center_mm, np.ones(2)
+        )
 
     def surface(self, state: ShearState) -> Float64:
         """Motion of the surface at the nodes per compliance, (rows, columns, 2), N/mm²."""
-        return state.sheet + self._skin * state.held
+        return np.asarray((state.sheet + SKIN * state.held) / state.seen)
 
     def motion_mm(
         self, state: ShearState, points_mm: Float64, compliance_mm3_per_n: float
     ) -> Float64:
         """How far points (n, 2) of the gel's surface have moved along it, (n, 2), mm."""
+        surface, corner = self.surface(state), self.nodes_mm[0, 0]
         return compliance_mm3_per_n * _interpolated(
-            self.surface(state),
-            self._x_mm[0],
-            self._y_mm[0],
-            self.lattice_mm,
-            np.ascontiguousarray(points_mm),
+            surface, corner[0], corner[1], self.lattice_mm, np.ascontiguousarray(points_mm)
         )
+
+
+def _counted(
+    shape: tuple[int, int], corner_mm: Float64, lattice_mm: float, points_mm: Float64
+) -> Float64:
+    """How much each node (rows, columns) counts in the sum of bilinear values at points (n, 2)."""
+    counted = np.zeros(shape)
+    place = np.clip((points_mm - corner_mm) / lattice_mm, 0.0, np.array(shape[::-1]) - 1.0)
+    first = np.minimum(place.astype(int), np.maximum(np.array(shape[::-1]) - 2, 0))
+    part = place - first
+    for right in (0, 1):
+        for down in (0, 1):
+            weight = np.abs(1 - right - part[:, 0]) * np.abs(1 - down - part[:, 1])
+            at = np.minimum(first + np.array([right, down]), np.array(shape[::-1]) - 1)
+            np.add.at(counted, (at[:, 1], at[:, 0]), weight)
+    return counted
 
 
 def _wide(inner: NDArray[Any]) -> NDArray[Any]:
@@ -308,20 +410,6 @@ def _wide(inner: NDArray[Any]) -> NDArray[Any]:
     wide = np.zeros((inner.shape[0] + 2, inner.shape[1] + 2, *inner.shape[2:]), inner.dtype)
     wide[1:-1, 1:-1] = inner
     return wide
-
-
-def _demand(load: Float64, limit: Float64, touches: NDArray[np.bool_], arm_mm: Float64) -> float:
-    """Force and moment over what friction can hold: 1 where all slips.
-
-    Source: Howe & Cutkosky 1996, the ellipsoid for the limit surface.
-    """
-    held = limit[touches]
-    force, moment = held.sum(), (held * arm_mm[touches]).sum()
-    if not math.isfinite(force):
-        return 0.0
-    return math.hypot(
-        math.hypot(load[0], load[1]) / max(force, 1e-12), load[2] / max(moment, 1e-12)
-    )
 
 
 @njit(cache=True, nogil=True)

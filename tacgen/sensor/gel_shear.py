@@ -3,14 +3,14 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.contact.shear import ShearMotion, marker_pitch_mm
-from tacgen.contact.shear_field import LATTICE_MM, ShearField, ShearState
+from tacgen.contact.shear import ShearMotion, marker_grid_mm, marker_pitch_mm
+from tacgen.contact.shear_field import LATTICE_MM, ShearField, ShearState, weighted
 from tacgen.core.compiled import njit
 from tacgen.core.records import Sensor
 from tacgen.optics.smooth import Window
 from tacgen.sensor.gel_response import GelLoad
 
-DECAY_PER_GEL_DEPTH = 0.6
+DECAY_PER_GEL_DEPTH = 0.5
 """How far beside a contact the gel moves with it, over its thickness, where no law says it."""
 
 
@@ -42,7 +42,7 @@ class GelShear:
         )
         self._window_px = sensor.shape_px
         self._lattice_mm = self._pixels * sensor.mm_per_px
-        self._pitch_mm = marker_pitch_mm(sensor)
+        self._markers_mm, self._pitch_mm = marker_grid_mm(sensor), marker_pitch_mm(sensor)
         self._decay_mm = DECAY_PER_GEL_DEPTH * sensor.gel_depth_mm
         self._fields: dict[float, ShearField] = {}
 
@@ -52,7 +52,9 @@ class GelShear:
         if decay not in self._fields:
             rows, columns = self._shape
             size = columns * self._lattice_mm, rows * self._lattice_mm
-            self._fields[decay] = ShearField(*size, decay, self._lattice_mm)
+            self._fields[decay] = ShearField(
+                *size, decay, self._lattice_mm, self._markers_mm, self._pitch_mm
+            )
         return self._fields[decay]
 
     @property
@@ -65,7 +67,8 @@ class GelShear:
         sums = np.zeros(self._shape)
         top, left = window[0] + self._before_px[0], window[2] + self._before_px[1]
         _cell_sums(depth_mm, top, left, self._pixels, sums)
-        return sums / max(float(sums.sum()), 1e-12)
+        total = weighted(sums, np.ones((*self._shape, 1)))[0]
+        return np.asarray(sums / max(total, 1e-12))
 
     def compliance_mm3_per_n(self, load: GelLoad) -> float:
         """``c = k_s · pitch²``, by which the surface's motion ∫ u dA follows a force."""
@@ -91,7 +94,7 @@ class GelShear:
         if not (pulls.any() or turns or before is not None):
             return None
         field, weight = self.field(load.decay_mm), self.pressure_share(depth_mm, window)
-        center_mm = np.tensordot(weight, field.nodes_mm, axes=([0, 1], [0, 1]))
+        center_mm = weighted(weight, field.nodes_mm)
         is_part = share < 1.0 and load.center_mm is not None
         about_mm = load.center_mm if is_part and load.center_mm else center_mm
         normal_n = 1.0 if load.force_n is None else load.force_n[2]
@@ -111,12 +114,12 @@ class GelShear:
         """How the gel under the object has moved, and with it the object, as a rigid body."""
         field = self.field(load.decay_mm)
         moved = self.compliance_mm3_per_n(load) * field.surface(state)
-        weight = state.pressure / max(float(state.pressure.sum()), 1e-12)
-        shift_mm = np.tensordot(weight, moved, axes=([0, 1], [0, 1]))
-        arm = field.nodes_mm - state.center_mm
-        second = float((weight * (arm**2).sum(axis=-1)).sum())
-        spin = float((weight * (arm[..., 0] * moved[..., 1] - arm[..., 1] * moved[..., 0])).sum())
-        return ShearMotion(shift_mm, spin / max(second, 1e-12), state.center_mm)
+        x_mm, y_mm = np.moveaxis(field.nodes_mm - state.center_mm, -1, 0)
+        spin = np.stack([x_mm * moved[..., 1] - y_mm * moved[..., 0], x_mm**2 + y_mm**2], axis=-1)
+        total = weighted(state.pressure, np.ones((*self._shape, 1)))[0]
+        turned, second = weighted(state.pressure, spin)
+        shift_mm = weighted(state.pressure, moved) / max(total, 1e-12)
+        return ShearMotion(shift_mm, turned / max(second, 1e-12), state.center_mm)
 
     def cells(self, lattice: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:
         """Sums over a grid of ``shape`` cells on the window of a density on the lattice.
@@ -130,7 +133,24 @@ class GelShear:
                 shape, self._shape, self._before_px, self._window_px, strict=True
             )
         )
-        return np.asarray(np.einsum("ir,rcn,jc->ijn", by_row, lattice, by_column), np.float64)
+        return _gathered(by_row, lattice, by_column)
+
+
+@njit(cache=True, nogil=True)
+def _gathered(
+    by_row: NDArray[np.float64], lattice: NDArray[np.float64], by_column: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Sums (i, j, n) of ``lattice`` (r, c, n) by shares (i, r) and (j, c)."""
+    out = np.zeros((by_row.shape[0], by_column.shape[0], lattice.shape[2]))
+    for r in range(lattice.shape[0]):
+        for c in range(lattice.shape[1]):
+            for i in range(by_row.shape[0]):
+                for j in range(by_column.shape[0]):
+                    share = by_row[i, r] * by_column[j, c]
+                    if share > 0.0:
+                        for n in range(lattice.shape[2]):
+                            out[i, j, n] += share * lattice[r, c, n]
+    return out
 
 
 def _overlaps(n: int, cells: int, pixels: int, before: int, window: int) -> NDArray[np.float64]:

@@ -172,8 +172,15 @@ class Sensor:
         """
         warn_of_metres(pose_gel_object, "pose_gel_object")
         frame = _contact_frame(0.0, force_n, shear_n, torsion_n_mm, pose_gel_object)
-        solid = as_mesh(mesh)
-        imprint = self._pad.press(solid, frame.pose_gel_object, gel_loads(self.law, [frame])[0])
+        solid, load = as_mesh(mesh), gel_loads(self.law, [frame])[0]
+        if np.hypot(*frame.force_shear_n) > load.friction * force_n:
+            text = (
+                f"shear_n is more than friction holds ({load.friction:g} × {force_n:g} N): the "
+                "object slides, and the gel moves no farther; `friction` of the contact law says "
+                "how rough gel and object are"
+            )
+            warnings.warn(text, stacklevel=2)
+        imprint = self._pad.press(solid, frame.pose_gel_object, load)
         if imprint.is_beside_gel:
             raise ContactError(beside_gel(solid, frame.pose_gel_object, self.description))
         return self._frame(frame, imprint)

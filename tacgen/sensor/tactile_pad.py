@@ -10,7 +10,7 @@ from tacgen.contact.gap import GAP_GRAIN_MM, GapMapper, ObjectGap
 from tacgen.contact.gel import gel_map_mm, gel_size_mm, pixel_centers_mm
 from tacgen.contact.indentation import solve_grains
 from tacgen.contact.shear import ShearMotion, dilation_mm, marker_grid_mm
-from tacgen.contact.shear_field import ShearState
+from tacgen.contact.shear_field import ShearState, weighted
 from tacgen.core.arrays import FloatArray
 from tacgen.core.compiled import njit
 from tacgen.core.errors import SensorError, TableError
@@ -408,9 +408,11 @@ class TactilePad:
         share = self._shear.pressure_share(imprint.depth_mm, imprint.window)[..., None]
         lattice_n = share * force
         if imprint.shear is not None:
-            share = imprint.shear.pressure[..., None] / imprint.shear.pressure.sum()
+            ones = np.ones(imprint.shear.pressure.shape)
+            total = weighted(ones, imprint.shear.pressure[..., None])
+            share = imprint.shear.pressure[..., None] / total
             pulls_n = imprint.shear.traction * self._shear.cell_mm2
-            missing_n = force[:2] - pulls_n.sum(axis=(0, 1))
+            missing_n = force[:2] - weighted(ones, pulls_n)
             lattice_n = np.concatenate([pulls_n + share * missing_n, share * force[2]], axis=-1)
         return self._shear.cells(lattice_n, shape)
 

@@ -113,7 +113,7 @@ def test_half_a_turn_of_all_turns_the_imprint(sensor):
     np.testing.assert_allclose(
         other.depth_map_mm(sensor)[::-1, ::-1], plain.depth_map_mm(sensor), atol=1e-5
     )
-    np.testing.assert_allclose(-pad.markers_mm(other)[::-1], pad.markers_mm(plain), atol=1e-6)
+    np.testing.assert_allclose(-pad.markers_mm(other)[::-1], pad.markers_mm(plain), atol=1e-5)
 
 
 @pytest.mark.parametrize("sensor", [FLAT, DOMED], ids=lambda one: one.name)
@@ -130,7 +130,7 @@ def test_a_mirrored_press_is_mirrored(sensor):
     )
     rows, columns = sensor.markers.rows, sensor.markers.columns
     places = pad.markers_mm(other).reshape(rows, columns, 2)[:, ::-1] * [-1, 1]
-    np.testing.assert_allclose(places.reshape(-1, 2), pad.markers_mm(plain), atol=1e-6)
+    np.testing.assert_allclose(places.reshape(-1, 2), pad.markers_mm(plain), atol=1e-5)
 
 
 @pytest.mark.parametrize("sensor", [FLAT, DOMED], ids=lambda one: one.name)
@@ -158,13 +158,13 @@ def shifts(sensor, law, force_n, pose, torsion_n_mm=0.0):
 @pytest.mark.parametrize("pitch_mm", [1.0, 0.5, 4.0 / 3.0])
 @pytest.mark.parametrize("at_mm", [(0.0, 0.0, 4.0), (3.1, -1.7, 4.0)])
 def test_another_grid_of_markers_is_the_same_gel(pitch_mm, at_mm):
-    """Within what a sum over a grid differs from the integral: 1.1 % of a grid of 2 mm."""
+    """Within what a sum over a grid differs from the integral: 1.7 % of a grid of 2 mm."""
     law = ContactLaw.linear(5.135, 1.0, marker_pitch_mm=2.0)
     grid = Markers(round(12 / pitch_mm), round(16 / pitch_mm), pitch_mm, 0.2)
     pose = turned(0.0, at_mm=at_mm)
     one = shifts(FLAT, law, (1.0, -0.5), pose, 3.0)
     other = shifts(replace(FLAT, markers=grid), law, (1.0, -0.5), pose, 3.0)
-    np.testing.assert_allclose(other[0], one[0], rtol=0.015)
+    np.testing.assert_allclose(other[0], one[0], rtol=0.02)
     assert other[1] == pytest.approx(one[1], rel=0.02)
     # A law without a grid is of the sensor's own, whose sum it then gives.
     own = replace(law, marker_pitch_mm=pitch_mm)
@@ -248,5 +248,5 @@ def test_where_on_the_gel_the_load_is_does_not_matter():
     places = ((0.0, 0.0), (2.0, -4.0), (1.0, 1.0), (-0.7, 3.3))
     found = [shifts(wide, law, (1.0, -0.5), turned(0.0, at_mm=(*at, 4.0)), 3.0) for at in places]
     for shift_mm, turn_rad in found[1:]:
-        np.testing.assert_allclose(shift_mm, found[0][0], rtol=0.01)
+        np.testing.assert_allclose(shift_mm, found[0][0], rtol=0.015)
         assert turn_rad == pytest.approx(found[0][1], rel=0.02)

@@ -180,7 +180,8 @@ def test_shear_of_what_the_window_shows_moves_its_markers():
     edge[0, 3] = 160 * sensor.description.mm_per_px
     still, pulled = (sensor.render(BALL, edge, 3.0, (x_n, 0.0)) for x_n in (0.0, 1.0))
     motion_mm = (pulled.markers_px - still.markers_px) * sensor.description.mm_per_px
-    assert motion_mm[:, 0].sum() == pytest.approx(pulled.force_n[0], rel=0.05)
+    # Of a contact that the window's border halves, with dots 2 mm apart beside it.
+    assert motion_mm[:, 0].sum() == pytest.approx(pulled.force_n[0], rel=0.15)
     assert pulled.force_n[0] == pytest.approx(0.5, abs=0.1)
 
 
@@ -467,3 +468,10 @@ def test_names_are_loaded_when_used():
     assert tacgen.Sensor is Sensor
     with pytest.raises(AttributeError, match="Senser"):
         tacgen.Senser  # noqa: B018
+
+
+def test_a_pull_that_friction_cannot_hold_is_said(sensor):
+    with pytest.warns(
+        UserWarning, match=r"more than friction holds \(0.8 × 2 N\): the object slides"
+    ):
+        sensor.render(BALL, np.eye(4), 2.0, (1.7, 0.0))
