@@ -11,17 +11,17 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
+from tacgen.contact.gel import px_to_mm
 from tacgen.contact.shear import marker_grid_mm
 from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 from tacgen.core.errors import PressError
 from tacgen.core.records import Sensor
-from tacgen.optics.dots import dots_at_rest, follow
+from tacgen.optics.dots import LEAST_SEEN, dots_at_rest, follow
 from tacgen.presses.lab_table import numeric_columns, read_table
 from tacgen.presses.press_folder import PressFolder
 from tacgen.presses.press_log import PressLog
 from tacgen.sensor.description import no_markers
 
-LEAST_SEEN = 0.8  # of a sensor's dots: with fewer it is another grid
 AT_REST = 0.02  # of a press's largest force: below it, its dots are where they rest
 JUMP = 0.5  # of the pitch: a dot this far off its neighbours' motion is another dot
 SAME_PLACE = 0.25  # of the pitch: two dots so near each other's places are swapped
@@ -79,7 +79,7 @@ def read_marker_tracks(path: Path, sensor: Sensor, log: PressLog) -> MarkerTrack
         [numbers["x_px" if in_px else "x_mm"], numbers["y_px" if in_px else "y_mm"]]
     )
     if in_px:
-        xy = px_to_mm(xy, sensor)
+        xy = px_to_mm(xy, sensor.shape_px, sensor.mm_per_px)
     frames, at = np.unique(np.column_stack([numbers["press"], clock]), axis=0, return_inverse=True)
     ids, dot = np.unique(numbers["marker"], return_inverse=True)
     at, where = at.ravel(), _Names(path, frames, by_frame=by_frame)
@@ -103,7 +103,7 @@ def tracks_in_pictures(folder: PressFolder, sensor: Sensor, log: PressLog) -> Ma
     Raises ``PressError`` where the gel at rest shows no dots, or not those of the sensor's grid.
     """
     grid, listing = _grid_of(sensor), folder.path / "presses.csv"
-    background = folder.path / "background.png"
+    background, scale = folder.path / "background.png", (sensor.shape_px, sensor.mm_per_px)
     dots = dots_at_rest(folder.background, str(background))
     _check_count(len(dots), len(grid), sensor, str(background))
     press, time_s = folder.numbers("trial"), folder.numbers("time_s")
@@ -118,19 +118,13 @@ def tracks_in_pictures(folder: PressFolder, sensor: Sensor, log: PressLog) -> Ma
     for number in np.unique(press):
         rows = np.flatnonzero(frames[:, 0] == number)
         motion, seen = follow(dots, [folder.picture(int(order[row])) for row in rows])
-        places[rows] = px_to_mm(dots.places_px + motion, sensor)
+        places[rows] = px_to_mm(dots.places_px + motion, *scale)
         if (seen < LEAST_SEEN * len(dots)).any():
             bad = rows[seen < LEAST_SEEN * len(dots)]
             places[bad] = np.nan
-    at_rest_mm = px_to_mm(dots.places_px, sensor)
+    at_rest_mm = px_to_mm(dots.places_px, *scale)
     ids = np.arange(len(dots), dtype=np.float64)
     return _joined(places, frames, where, ids, sensor, log, at_rest_mm)
-
-
-def px_to_mm(places_px: FloatArray, sensor: Sensor) -> FloatArray:
-    """Columns and rows (…, 2) of a sensor's picture as places x, y in the gel frame, mm."""
-    middle = np.array([sensor.width_px, sensor.height_px]) / 2 - 0.5
-    return np.asarray((places_px - middle) * sensor.mm_per_px)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from tacgen.contact.gel import mm_to_px
 from tacgen.contact.shear import marker_grid_mm
 from tacgen.core.errors import RecipeError
 from tacgen.core.records import Sensor
@@ -48,7 +49,7 @@ def marker_tracks(
         places += np.stack([gel.dilation_mm(rest, one) for one in depth])
         rng = press_rng(recipe, int(press), MARKERS)
         places += given.noise_mm * rng.standard_normal(places.shape)
-        px = places / sensor.mm_per_px + np.array([sensor.width_px, sensor.height_px]) / 2 - 0.5
+        px = mm_to_px(places, sensor.shape_px, sensor.mm_per_px)
         frame, marker = np.indices(places.shape[:2])
         parts.append(
             pd.DataFrame(
