@@ -52,6 +52,7 @@ def draw_session(case: int, seed: int) -> RigRecipe:
     top = rng.uniform(0.35, 0.5)
     friction = rng.uniform(1.1, 2.0) * top if PARTIAL_SLIP in effects else None
     markers: dict[str, Any] = {
+        "rate_hz": 3.0,
         "noise_mm": rng.uniform(0.003, 0.006),
         "decay_mm": rng.uniform(0.9, 2.4),
         "friction": friction,
@@ -76,7 +77,7 @@ def draw_session(case: int, seed: int) -> RigRecipe:
             "indenters": [{"name": f"ball_{i}", "radius_mm": r} for i, r in enumerate(radii)],
             "law": {"k_n_mm3_per_n": rng.uniform(3.5, 7.0), "k_s_mm_per_n": rng.uniform(0.5, 1.2)},
             "schedule": {
-                "presses": int(rng.integers(18, 29)),
+                "presses": int(rng.integers(16, 25)),
                 "force_n": (rng.uniform(1.5, 4.0), rng.uniform(6.0, 10.0)),
                 "shear_ratio": (0.1, top),
             },

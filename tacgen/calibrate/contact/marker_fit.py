@@ -173,11 +173,14 @@ def field_data(
         rows = rows[np.argsort(tracks.time_s[rows], kind="stable")]
         load = {name: values[rows] for name, values in tracks.load.items()}
         motion = tracks.places_mm[rows] - tracks.rest_mm
-        bends.append((motion[:-2] - 2.0 * motion[1:-1] + motion[2:]).ravel())
         force = np.column_stack([load["force_shear_x_n"], load["force_shear_y_n"]])
         normal, size = load["force_normal_n"], np.hypot(*force.T)
         center = np.array([np.median(load["x_mm"]), np.median(load["y_mm"])])
         radius = float(np.median(load["radius_mm"]))
+        # The dots far from the contact hardly move: what their places bend by is noise.
+        away = np.hypot(*(rest - center).T)
+        still = motion[:, away >= np.median(away)]
+        bends.append((still[:-2] - 2.0 * still[1:-1] + still[2:]).ravel())
         known = np.isfinite([*center, radius]).all() and np.isfinite(force).all()
         seen: BoolArray = np.asarray(np.isfinite(motion).any(axis=(1, 2)))
         chosen = _chosen(normal, force, seen, most_frames)
