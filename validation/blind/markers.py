@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import tempfile
+import time
 from concurrent.futures import ProcessPoolExecutor
 from itertools import combinations
 from pathlib import Path
@@ -94,6 +95,7 @@ def run_case(case: int, seed: int) -> dict[str, Any]:
         run_rig(recipe, Path(folder))
         log = read_press_log(Path(folder) / "press_log.csv")
         tracks = read_marker_tracks(Path(folder) / "markers.csv", sensor, log)
+    start = time.process_time()
     found = diagnose_markers(tracks, sensor, fit_contact(log).normal.pooled.value)
     given = recipe.markers.model_dump() if recipe.markers else {}
     return {
@@ -107,6 +109,7 @@ def run_case(case: int, seed: int) -> dict[str, Any]:
         "floor_mm": found.data.noise_mm,
         "unexplained": found.unexplained,
         "given": given,
+        "cpu_s": time.process_time() - start,
         "record": found.record(),
     }
 

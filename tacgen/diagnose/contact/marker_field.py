@@ -42,14 +42,15 @@ class MarkerRules:
 
     min_gain: float = 0.005
     """Share of the squared error, noise included, that an effect explains: by chance 0.001."""
-    frames: int = 7
+    frames: int = 6
     """Of a press, in the choice: a place is tried in some hundred spots."""
     scan_mm: float = 1.5
     """Distance of those spots: half of a contact's radius."""
     scan_radius_mm: float = 1.75
     """Of a place that is tried; it is fitted then."""
-    excess: float = 1.05
-    """Squared error over noise of a press that a place is looked for at."""
+    excess: float = 3.0
+    """Standard deviations of the noise's own squared error that a press is off by: a place is
+    looked for there."""
     more: float = 4.0
     """Times 1/μ in a place that is tried."""
     less: float = 0.25
@@ -255,57 +256,60 @@ def _choose(
     data: FieldData, fit: Sequence[int], rules: MarkerRules
 ) -> tuple[list[Slip], tuple[str, ...], dict[str, str]]:
     """Fits without, with one and with all effects of friction; their names; competitors."""
-    count = sum(int(np.isfinite(data.presses[one].motion_mm).sum()) for one in fit)
-    noise = count * data.noise_mm**2
 
     def loss(slip: Slip) -> float:
         return float(data.losses(slip, data.linear(slip, fit), fit).sum())
-
-    def is_noise(slip: Slip) -> bool:
-        return loss(slip) * (1.0 - rules.min_gain) < noise  # no effect can explain its share
 
     def gain(slip: Slip, than: Slip) -> float:
         return 1.0 - loss(slip) / loss(than)
 
     base = fit_slip(data, fit, Slip(), _free(()))
-    if is_noise(base):
-        return [base], (), {}
     slipping = fit_slip(data, fit, base, _free((PARTIAL_SLIP,)))
     slips = gain(slipping, base) >= rules.min_gain
-    if slips and is_noise(slipping):
-        return [base, slipping], (PARTIAL_SLIP,), {}
+    if not _off(data, fit, slipping if slips else base, rules):
+        return ([base, slipping], (PARTIAL_SLIP,), {}) if slips else ([base], (), {})
     placed = _with_place(data, fit, base, (PLACE,), rules)
     better = [(gain(one, base), name) for one, name in ((slipping, PARTIAL_SLIP), (placed, PLACE))]
     if max(better)[0] < rules.min_gain:
         return [base], (), {}
-    first, second = (slipping, placed) if max(better)[1] == PARTIAL_SLIP else (placed, slipping)
-    names = (PARTIAL_SLIP, PLACE) if first is slipping else (PLACE, PARTIAL_SLIP)
-    runner_up = {names[0]: names[1]} if gain(second, base) > 0.5 * rules.min_gain else {}
-    if is_noise(first):
+    first, names = slipping, (PARTIAL_SLIP, PLACE)
+    if loss(placed) < loss(slipping):
+        first, names = placed, (PLACE, PARTIAL_SLIP)
+    runner_up = {names[0]: names[1]} if min(better)[0] >= rules.min_gain else {}
+    if not _off(data, fit, first, rules):
         return [base, first], names[:1], runner_up
     both = _with_place(data, fit, slipping, (PARTIAL_SLIP, PLACE), rules)
-    if not is_noise(both):
+    if _off(data, fit, both, rules):
         other = fit_slip(data, fit, placed, _free((PARTIAL_SLIP, PLACE)))
         both = min(both, other, key=loss)
     # Beside slip the place may have come out better than alone: it is fitted alone from there.
     alone = fit_slip(data, fit, replace(both, per_friction=0.0), _free((PLACE,)))
-    if loss(alone) < loss(placed):
-        placed = alone
-        if loss(placed) < loss(slipping):
-            first, names = placed, (PLACE, PARTIAL_SLIP)
+    if loss(alone) < loss(first):
+        first, names = alone, (PLACE, PARTIAL_SLIP)
     if gain(both, first) < rules.min_gain:
         return [base, first], names[:1], runner_up
     return [base, first, both], names, runner_up
 
 
+def _off(data: FieldData, fit: Sequence[int], slip: Slip, rules: MarkerRules) -> list[int]:
+    """Presses whose error is clearly more than noise."""
+    left = _left(data, slip, data.linear(slip, fit), np.zeros_like(data.tracks.grid_mm))
+    count = np.array([np.isfinite(press.motion_mm).sum() for press in data.presses])
+    most = data.noise_mm**2 * (1.0 + rules.excess * np.sqrt(2.0 / count))
+    return [one for one in fit if left[one] > most[one]]
+
+
 def _with_place(
     data: FieldData, fit: Sequence[int], start: Slip, chosen: Sequence[str], rules: MarkerRules
 ) -> Slip:
-    """The fit with a place: tried all over the presses, then fitted from the best spot on."""
+    """The fit with a place: tried at presses that are off, then fitted from the best spot on.
+
+    Where no press is off, there is no place, and ``start`` is returned.
+    """
     linear = data.linear(start, fit)
-    left = _left(data, start, linear, np.zeros_like(data.tracks.grid_mm))
-    at = [one for one in fit if left[one] > rules.excess * data.noise_mm**2]
-    at = at or [max(fit, key=lambda one: left[one])]
+    at = _off(data, fit, start, rules)
+    if not at:
+        return start
     centers = np.stack([data.presses[one].center_mm for one in at])
     reach = np.array([data.presses[one].patch_mm for one in at])
     low, high = (centers - reach[:, None]).min(axis=0), (centers + reach[:, None]).max(axis=0)
