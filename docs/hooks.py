@@ -68,6 +68,7 @@ EXAMPLES = {
     "cluster.max_array": "1000",
     "cluster.setup": "[module load python]",
     "cluster.sbatch": "{gpus: 1}",
+    "dataset.force_field": "[9, 12]",
     "input.pad": "left",
     "input.frames": "8",
     "training.grasps": "100",

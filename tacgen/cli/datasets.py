@@ -93,8 +93,10 @@ def grid(recipe: common.RecipeArgument, json_output: common.JsonFlag = False) ->
     import pandas as pd
 
     from tacgen.collection.grid import grid_rows, plan_recipe
+    from tacgen.collection.pipeline import dataset_spec
     from tacgen.collection.recipe import load_recipe
-    from tacgen.core.errors import PhysicsError
+    from tacgen.core.errors import PhysicsError, TacgenError
+    from tacgen.core.progress import print_status
     from tacgen.physics import GraspSimulator
 
     loaded = load_recipe(recipe)
@@ -104,6 +106,12 @@ def grid(recipe: common.RecipeArgument, json_output: common.JsonFlag = False) ->
     except PhysicsError as error:  # the list is right all the same
         common.warn([error])
     common.print_result(rows, pd.DataFrame(rows).to_csv(index=False).rstrip("\n"), json_output)
+    try:
+        costs = dataset_spec(loaded, len(rows)).grasp_bytes.items()
+        kept = ", ".join(f"{name} {n / 1e3:.1f} kB" for name, n in costs)
+        print_status(f"a grasp before compression (`tacgen inspect` says what is stored): {kept}")
+    except TacgenError as error:  # of a table, which the list of grasps can do without
+        common.warn([error])
     common.hand_over(f"tacgen collect {quoted(recipe)} --out data")
 
 

@@ -1,5 +1,6 @@
 """One grasp from the plan to the sample that a shard holds: where the stages are joined."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -17,7 +18,7 @@ from tacgen.collection.recipe import Recipe
 from tacgen.collection.scene import PICTURE_PX, grasp_picture
 from tacgen.contact.law import ContactLaw
 from tacgen.core.errors import TableError
-from tacgen.core.records import GraspConfig, GraspObject, GraspTrace
+from tacgen.core.records import ContactFrame, GraspConfig, GraspObject, GraspTrace
 from tacgen.dataset import DatasetSpec, GraspSample, PadSample
 from tacgen.optics import load_table
 from tacgen.physics import GraspSimulator, run_grasp
@@ -160,20 +161,38 @@ class GraspPipeline:
     ) -> PadSample:
         frames = grasp.trace.frames[pad]
         images, rendered = self.render(grasp, pad, rng=noise)
-        depth_mm = None
-        if self.recipe.dataset.depth:
-            whole = rendered[frame].imprint.depth_map_mm(self._pad.sensor)
-            depth_mm = whole.astype(np.float16)
+        imprints = [one.imprint for one in rendered]
         return PadSample(
             rgb=with_gain(images, grasp.variation.gain_factor),
             force_normal_n=np.array([frame.force_normal_n for frame in frames]),
             force_shear_n=np.array([frame.force_shear_n for frame in frames]),
-            indentation_mm=np.array([one.imprint.indentation_mm for one in rendered]),
-            saturated=np.array([one.imprint.saturated for one in rendered]),
-            no_contact=np.array([one.imprint.status == "no_contact" for one in rendered]),
-            outside_window=np.array([one.imprint.status == "outside_window" for one in rendered]),
-            depth_mm=depth_mm,
+            indentation_mm=np.array([imprint.indentation_mm for imprint in imprints]),
+            saturated=np.array([imprint.saturated for imprint in imprints]),
+            no_contact=np.array([imprint.status == "no_contact" for imprint in imprints]),
+            outside_window=np.array([imprint.status == "outside_window" for imprint in imprints]),
+            **self._touch(frames, imprints, frame),
         )
+
+    def _touch(
+        self, frames: Sequence[ContactFrame], imprints: Sequence[Imprint], moment: int
+    ) -> dict[str, NDArray[np.floating]]:
+        """What the recipe keeps of the touch beside the images; see ``PadSample``."""
+        asked, pad = self.recipe.dataset, self._pad
+        found: dict[str, NDArray[np.floating]] = {}
+        if asked.depth != "none":
+            kept = imprints if asked.depth == "all" else [imprints[moment]]
+            maps = np.stack([one.depth_map_mm(pad.sensor) for one in kept]).astype(np.float16)
+            found["depth_mm"] = maps if asked.depth == "all" else maps[0]
+        if asked.markers:
+            moved_mm = [pad.marker_motion_mm(imprint) for imprint in imprints]
+            found["markers_mm"] = np.stack(moved_mm).astype(np.float32)
+        if asked.force_field is not None:
+            fields_n = [
+                pad.force_field_n(imprint, imprint.share * frame.force_n, asked.force_field)
+                for frame, imprint in zip(frames, imprints, strict=True)
+            ]
+            found["force_field_n"] = np.stack(fields_n).astype(np.float32)
+        return found
 
 
 def tactile_pad(recipe: Recipe) -> TactilePad:
@@ -229,7 +248,7 @@ def dataset_spec(
     sensor = load_sensor(recipe.sensor)
     inputs = recipe_inputs(recipe)
     at_load = recipe.optics.noise == "at_load"
-    table = load_table(sensor.table)
+    table, pad, asked = load_table(sensor.table), tactile_pad(recipe), recipe.dataset
     return DatasetSpec(
         recipe=recipe.resolved(folder),
         recipe_sha256=inputs.sha256["recipe"],
@@ -242,9 +261,12 @@ def dataset_spec(
         time_s=frame_times_s(recipe),
         n_grasps=n_grasps,
         shard_size=recipe.dataset.shard_size,
-        reference_rgb=tactile_pad(recipe).image(Imprint()),
+        reference_rgb=pad.image(Imprint()),
         noise_at_load_grey=table.noise_grey if at_load else 0.0,
         colors_from=table.origin,
-        depth=recipe.dataset.depth,
+        depth=asked.depth == "grasp",
+        depth_of_frames=asked.depth == "all",
+        marker_rest_mm=pad.marker_rest_mm if asked.markers else None,
+        force_field=asked.force_field,
         picture_px=PICTURE_PX if recipe.dataset.scene_pictures else None,
     )

@@ -18,7 +18,9 @@ from pydantic import (
     NonNegativeInt,
     PositiveFloat,
     PositiveInt,
+    SerializerFunctionWrapHandler,
     ValidationError,
+    model_serializer,
 )
 
 from tacgen.core.columns import unit_problems
@@ -35,6 +37,7 @@ from tacgen.core.resources import (
 from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N, k_n_doubt
 from tacgen.core.yaml_source import KeyPath, YamlSource, load_checked, problem_text
 from tacgen.dataset.manifest import MAX_SHARD_GRASPS
+from tacgen.dataset.schema import MAX_CELLS
 from tacgen.physics.robots import RobotSpec, gripper_file, load_robot
 from tacgen.physics.settings import (
     MAX_FORCE_N,
@@ -180,15 +183,40 @@ class Split(Section):
     """Share of each object's grasps that are test grasps."""
 
 
+_Cells = Annotated[int, Field(ge=1, le=MAX_CELLS)]
+
+
+def _depth_kept(given: Any) -> Any:
+    """``true`` and ``false`` as recipes said it before there was ``all``."""
+    return {True: "grasp", False: "none"}[given] if isinstance(given, bool) else given
+
+
 class DatasetOptions(Section):
     """Content of the shards."""
 
     shard_size: Annotated[PositiveInt, Field(le=MAX_SHARD_GRASPS)] = 25
     """Grasps per shard."""
-    depth: bool = False
-    """Also store each grasp's depth map at the moment of grasp."""
+    depth: Annotated[
+        Literal["none", "grasp", "all"],
+        BeforeValidator(_depth_kept, json_schema_input_type=Literal["none", "grasp", "all"] | bool),
+    ] = "none"
+    """Also store depth maps: of the moment of ``grasp`` (or ``true``), or of ``all`` frames."""
+    markers: bool = False
+    """Also store how far each marker is from its place at rest, in every frame; of a gel without
+    markers, points of a grid of 2 mm."""
+    force_field: tuple[_Cells, _Cells] | None = None
+    """``[rows, columns]`` of a grid over the gel's window: also store the force on each cell, in
+    every frame."""
     scene_pictures: bool = True
     """Also store a small picture of the scene for the gallery."""
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Where later keys ask for nothing, what was written without them: the same hash."""
+        found: dict[str, Any] = write(self)
+        found["depth"] = {"none": False, "grasp": True}.get(self.depth, self.depth)
+        later = ("markers", "force_field")
+        return {name: value for name, value in found.items() if value or name not in later}
 
 
 class Randomize(Section):

@@ -159,6 +159,11 @@ class ContactFrame:
     center_mm: NDArray[np.float64] | None = None
     past: NDArray[np.float64] | None = None
 
+    @property
+    def force_n(self) -> NDArray[np.float64]:
+        """Force of the object on the gel (3,): along its x and y, and into it."""
+        return np.array([*self.force_shear_n, self.force_normal_n], np.float64)
+
 
 @dataclass(frozen=True, slots=True)
 class ContactPatch:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from tacgen.core.errors import RecipeError
 from tacgen.core.images import evenly, jpeg_uri, no_wider, side_by_side
 from tacgen.core.records import PADS
+from tacgen.dataset import overlays
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import DatasetSpec, GraspSample, frame_times_s, rgb_at_load
@@ -28,6 +29,7 @@ MAX_PAGE_BYTES = 15_000_000  # what a browser opens at once
 MAX_CARDS, MAX_SHARDS, MAX_STRIP = 200, 200, 8
 IMAGE_WIDTH_PX, STRIP_WIDTH_PX = 280, 110
 CARD_TEXT_BYTES = 2000  # of a card's markup, beside its images
+LINE_BYTES = 32  # at most, of the motion of a marker
 OUTCOMES = {
     "success": "success",
     "translational_slip": "translational slip",
@@ -107,11 +109,18 @@ def write_gallery(root: Path | str, made: Mapping[int, Thumbnails] | None = None
         description = str(folder.recipe().get("description", ""))
     except RecipeError:  # `verify` reports it; the page has no description then
         description = ""
+    has_markers = "markers_mm" in dataset.touch_names
+    n_lines = len(dataset.pads) * len(dataset.marker_rest_mm()) if has_markers else 0
+    cards = _fit(cards, CARD_TEXT_BYTES + LINE_BYTES * n_lines)
+    gain = _draw_motion(dataset, cards) if has_markers else 0.0
+    height, width = dataset.shape_px
     page = templates("tacgen.dataset").get_template("gallery.html")
     text = page.render(
         summary=summarize(folder.root),
         description=description,
-        cards=_fit(cards),
+        cards=cards,
+        gain=gain,
+        size_px=(width, height),
         points=points,
         outcomes=OUTCOMES,
         present=[name for name in OUTCOMES if any(p["outcome"] == name for p in points)],
@@ -123,6 +132,28 @@ def write_gallery(root: Path | str, made: Mapping[int, Thumbnails] | None = None
     dataset.close()
     replace_page(folder.gallery_path, text)
     return folder.gallery_path
+
+
+def _draw_motion(dataset: Dataset, cards: Sequence[dict[str, Any]]) -> float:
+    """Give each card's images the motion of their markers, as paths; the factor it is drawn by.
+
+    That is 0 where none has moved.
+    """
+    rest_mm = dataset.marker_rest_mm()
+    scale = dataset.mm_per_px, dataset.shape_px
+    rest_px = overlays.to_pixels(rest_mm, *scale)
+    moved_mm = [
+        [dataset.touch(card["index"], "markers_mm", pad, card["moment"]) for pad in dataset.pads]
+        for card in cards
+    ]
+    largest_mm = max((float(np.linalg.norm(one, axis=-1).max()) for one in moved_mm), default=0.0)
+    if largest_mm == 0:
+        return 0.0
+    gain = overlays.gain_of(largest_mm, overlays.spacing_mm(rest_mm))
+    for card, pads in zip(cards, moved_mm, strict=True):
+        steps = (gain * one / dataset.mm_per_px for one in pads)
+        card["motion"] = [overlays.lines_path(rest_px, step) for step in steps]
+    return gain
 
 
 def _flags(columns: Mapping[str, NDArray[Any]], row: int) -> str:
@@ -202,11 +233,11 @@ def _jpeg(rgb: NDArray[np.uint8]) -> str:
     return jpeg_uri(no_wider(rgb, IMAGE_WIDTH_PX))
 
 
-def _fit(cards: Sequence[dict[str, Any]]) -> Sequence[dict[str, Any]]:
+def _fit(cards: list[dict[str, Any]], card_text_bytes: int) -> list[dict[str, Any]]:
     """As many cards, taken evenly, as the page has room for."""
     room = MAX_PAGE_BYTES * 0.9
     images = sum(len(one) for c in cards for one in (c["picture"], *c["images"], *c["strips"]))
-    total = images + len(cards) * CARD_TEXT_BYTES
+    total = images + len(cards) * card_text_bytes
     if total <= room:
         return cards
     return [cards[k] for k in evenly(len(cards), max(1, int(len(cards) * room / total)))]

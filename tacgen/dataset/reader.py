@@ -7,20 +7,20 @@ import math
 import os
 from bisect import bisect_right
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.errors import DatasetError, RecipeError
+from tacgen.core.errors import DatasetError, RecipeError, require_known
 from tacgen.core.files import sha256_of
 from tacgen.core.records import GraspConfig, SlipMargin, Until
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.manifest import ShardLine, manifest_problems, read_manifest, total
 from tacgen.dataset.samples import GraspSample, PadSample, frame_times_s, rgb_at_load
-from tacgen.dataset.schema import COLUMNS, FRAME_FIELDS, Layout
+from tacgen.dataset.schema import COLUMNS, FRAME_FIELDS, TOUCH, TOUCH_FIELDS, Field, Layout
 from tacgen.dataset.shard import Shard, broken_as_error, open_shard, read_image
 
 if TYPE_CHECKING:
@@ -102,34 +102,44 @@ class Dataset:
         """The grasp at a place of ``indices`` as plain values, or a list of them for a slice.
 
         ``rgb`` (T, H, W, 3) uint8 of the first pad, where there are two also ``rgb_left`` and
-        ``rgb_right``, and every entry of ``columns``: ``label`` (1, 0, or -1 where it was not
-        executed), ``object``, ``force_n``, ``x_mm`` …
+        ``rgb_right``; so too ``depth_mm``, ``markers_mm`` and ``force_field_n`` where the dataset
+        has them (see ``touch``), and every entry of ``columns``: ``label`` (1, 0, or -1 where it
+        was not executed), ``object``, ``force_n``, ``x_mm`` …
         """
         indices = self.indices
         if isinstance(place, slice):
             return [self[k] for k in range(*place.indices(len(indices)))]
         index = int(indices[place])
-        images = {f"rgb_{pad}": self.rgb(index, pad) for pad in self.pads}
-        first = images[f"rgb_{self.pads[0]}"]
-        return {"rgb": first, **(images if len(images) > 1 else {}), **self._row(index)}
+        item: dict[str, Any] = {}
+        for name in ("rgb", *self.touch_names):
+            item[name] = self._of_pad(index, name, self.pads[0])
+            if len(self.pads) > 1:
+                item |= {f"{name}_{pad}": self._of_pad(index, name, pad) for pad in self.pads[1:]}
+                item[f"{name}_{self.pads[0]}"] = item[name]
+        return item | self._row(index)
 
     def torch(
         self,
         split: Literal["train", "test"] | None = None,
         frames: Literal["grasp", "sequence"] = "grasp",
         pad: str | None = None,
+        channels: Sequence[str] | None = None,
+        transform: Callable[[Any], Any] | None = None,
     ) -> TorchGrasps:
         """The executed grasps for ``torch.utils.data.DataLoader``: (images, label) pairs.
 
         ``split`` is one side of the recipe's split, both by default. ``frames`` is the frame of the
         moment of ``grasp``, (3, H, W), or all, (T, 3, H, W); float32 in [0, 1]. Of two pads both
         are given, stacked in front in the order of ``pads``: (2, 3, H, W) or (2, T, 3, H, W);
-        ``pad`` chooses one.
+        ``pad`` chooses one. With ``channels``, some of ``rgb``, ``depth_mm``, ``markers_mm`` and
+        ``force_field_n``, a sample is a dictionary of them and of ``label``: ``rgb`` as above, the
+        others float32 as ``touch`` gives them. ``transform`` is applied to the images, or to the
+        dictionary.
         """
         from tacgen.dataset.torch_dataset import TorchGrasps
 
         pads = self.pads if pad is None else (self._pad(pad),)
-        return TorchGrasps(self, split, frames, pads)
+        return TorchGrasps(self, split, frames, pads, channels, transform)
 
     @property
     def indices(self) -> NDArray[np.int64]:
@@ -243,6 +253,48 @@ class Dataset:
         seed = int(self._read(index, "/grasp/seed"))
         return rgb_at_load(rgb, shard.noise_at_load_grey, seed, pad, frame)
 
+    @property
+    def touch_names(self) -> tuple[str, ...]:
+        """What the dataset keeps of the touch beside the images; see ``touch``."""
+        return tuple(field.name for field in self.layout.fields if field in TOUCH_FIELDS)
+
+    def touch(
+        self, index: int, name: str, pad: str | None = None, frame: int | None = None
+    ) -> NDArray[Any]:
+        """``depth_mm``, ``markers_mm`` or ``force_field_n`` of a grasp's frames, or of one.
+
+        (T, H, W) float16, or (H, W) of the moment of grasp where only that is kept; (T, M, 2)
+        float32, from ``marker_rest_mm`` on; (T, rows, columns, 3) float32: shear x, shear y,
+        normal.
+
+        Raises ``DatasetError`` if the dataset does not keep it.
+        """
+        require_known("the touch's name", name, TOUCH, DatasetError)
+        pad, layout = self._pad(pad), self._layout(index)
+        field = layout.find(name)
+        moment = None if field is None or field.is_of_frames else frame
+        if moment is not None and moment == int(self._read(index, "/grasp/grasp_frame")):
+            frame = moment = None
+        if field is None or moment is not None:
+            ways = [f.recipe for f in TOUCH_FIELDS if f.name == name]
+            what = f"no {name}" if field is None else f"{name} of the moment of grasp alone"
+            msg = f"{self.root}: has {what}; collect it with `dataset: {{{ways[-1]}}}`"
+            raise DatasetError(msg)
+        return self._frames(index, field, layout.path(field, pad), frame)
+
+    def marker_rest_mm(self, pad: str | None = None) -> NDArray[np.float64]:
+        """Places (M, 2) of the markers on a gel at rest, x and y of the gel frame.
+
+        Raises ``DatasetError`` if the dataset does not keep how far they move.
+        """
+        self.touch(self._starts[0], "markers_mm", pad, 0)  # which says so
+        return self._shard(0).rest_mm[self.layout.tactile(self._pad(pad), "markers_mm")]
+
+    @property
+    def mm_per_px(self) -> float:
+        """Size of a pixel of the tactile images on the gel."""
+        return self._shard(0).mm_per_px
+
     def reference(self, pad: str | None = None) -> NDArray[np.uint8]:
         """The image of the undeformed gel, (H, W, 3)."""
         shard = self._shard(0)
@@ -251,7 +303,7 @@ class Dataset:
 
     def picture(self, index: int) -> NDArray[np.uint8] | None:
         """The scene from outside, (h, w, 3), if there are pictures."""
-        has_pictures = "picture" not in self._layout(index).absent
+        has_pictures = "/scene/picture" in self._shard(self._place(index)).arrays
         return self._image(index, "/scene/picture") if has_pictures else None
 
     def read(self, index: int) -> GraspSample:
@@ -261,7 +313,7 @@ class Dataset:
         pads: dict[str, dict[str, Any]] = {pad: {} for pad in self.pads}
         for field, pad, path in self._layout(index).placed():
             if field.group != "grasp" and field.of != "spec" and not field.noisy:
-                value = self._image(index, path) if field.image else self._read(index, path)
+                value = self._frames(index, field, path) if field.image else self._read(index, path)
                 (pads[pad] if pad else sample)[field.attribute] = value
         parts = {
             part: {name.partition(".")[2]: sample.pop(name) for name in names}
@@ -301,6 +353,19 @@ class Dataset:
 
     def _layout(self, index: int) -> Layout:
         return self._shard(self._place(index)).layout
+
+    def _of_pad(self, index: int, name: str, pad: str) -> NDArray[Any]:
+        return self.rgb(index, pad) if name == "rgb" else self.touch(index, name, pad)
+
+    def _frames(
+        self, index: int, field: Field, path: str, frame: int | None = None
+    ) -> NDArray[Any]:
+        """What an image array holds of a grasp: of each frame, or of the one there is."""
+        if not field.is_of_frames:
+            return self._image(index, path)
+        frames = range(self.n_frames) if frame is None else (frame,)
+        found = [self._image(index, path, k) for k in frames]
+        return found[0] if frame is not None else np.stack(found)
 
     def _image(self, index: int, path: str, *then: int) -> NDArray[Any]:
         place = self._place(index)

@@ -28,7 +28,9 @@ class PadSample:
     ``rgb`` (T, H, W, 3) uint8; ``force_normal_n`` (T,) presses into the gel, ``force_shear_n``
     (T, 2) is the force of the object on the gel along the gel's x and y; ``indentation_mm`` (T,) is
     δ of the contact law, how far the object stands in the gel at its deepest point; ``depth_mm``
-    (H, W) float16 is the indentation of each pixel at the moment of grasp. ``saturated``,
+    float16 is the indentation of each pixel, (T, H, W), or (H, W) at the moment of grasp.
+    ``markers_mm`` (T, M, 2) is how far each marker is from its place at rest, ``force_field_n``
+    (T, rows, columns, 3) the force on each cell of the window: shear x, y, normal. ``saturated``,
     ``no_contact`` and ``outside_window`` (T,) say which frames do not show the whole force: the gel
     is pressed through, nothing touches it, or a part of the pressure is beside the window.
     """
@@ -41,6 +43,8 @@ class PadSample:
     saturated: NDArray[np.uint8 | np.bool_] | None = None
     no_contact: NDArray[np.uint8 | np.bool_] | None = None
     outside_window: NDArray[np.uint8 | np.bool_] | None = None
+    markers_mm: NDArray[np.floating] | None = None
+    force_field_n: NDArray[np.floating] | None = None
 
     def flags(self, frame: int) -> list[str]:
         """Why the image of a frame does not show the whole force, in words; empty where it does."""
@@ -144,8 +148,11 @@ class DatasetSpec:
     ``pads`` are ``left``, ``right`` or both; ``time_s`` the times of the T frames, from
     closing on (0 for a single image). The last shard may hold fewer than ``shard_size`` grasps.
     ``colors_from`` says what the table is of: real presses, or a virtual sensor.
-    ``reference_rgb`` (H, W, 3) uint8 is the undeformed gel, ``depth`` whether ``depth_mm`` is kept,
-    ``picture_px`` (height, width) the size of the scene pictures, if there are any. The images are
+    ``reference_rgb`` (H, W, 3) uint8 is the undeformed gel, ``depth`` whether ``depth_mm`` is kept
+    of the moment of grasp, ``depth_of_frames`` of every frame. ``marker_rest_mm`` (M, 2) are the
+    markers at rest where their motion is kept, ``force_field`` (rows, columns) the shape of the
+    force field if there is one, ``picture_px`` (height, width) that of the scene pictures. The
+    images are
     stored without the camera's noise where ``noise_at_load_grey`` is the standard deviation of what
     the reader adds.
     """
@@ -160,6 +167,9 @@ class DatasetSpec:
     shard_size: int
     reference_rgb: NDArray[np.uint8]
     depth: bool = False
+    depth_of_frames: bool = False
+    marker_rest_mm: NDArray[np.float64] | None = None
+    force_field: tuple[int, int] | None = None
     picture_px: tuple[int, int] | None = None
     noise_at_load_grey: float = 0.0
     inputs: Inputs = field(default_factory=Inputs)
@@ -180,14 +190,27 @@ class DatasetSpec:
     @property
     def layout(self) -> Layout:
         """The arrays of the shards."""
-        asked = {field.name for field in FIELDS if field.asked_by}
-        given = {f.name for f in FIELDS if f.asked_by and getattr(self, f.asked_by)}
-        return Layout(self.sensor.name, self.pads, frozenset(asked - given))
+        asked = {field.asked_by for field in FIELDS if field.asked_by}
+        is_asked = {name: getattr(self, name) for name in asked}
+        absent = frozenset(name for name, how in is_asked.items() if how is None or how is False)
+        return Layout(self.sensor.name, self.pads, absent)
 
     def sizes(self, n_grasps: int) -> dict[str, int]:
         """The lengths of the axes of a shard of so many grasps, by the letters of the schema."""
-        lengths = (n_grasps, len(self.time_s), *self.sensor.shape_px, *(self.picture_px or (0, 0)))
-        return dict(zip("NTHWhw", lengths, strict=True))
+        rest_mm = () if self.marker_rest_mm is None else self.marker_rest_mm
+        lengths = [n_grasps, len(self.time_s), *self.sensor.shape_px, len(rest_mm)]
+        lengths += [*(self.picture_px or (0, 0)), *(self.force_field or (0, 0))]
+        return dict(zip((*"NTHWMhw", "rows", "columns"), lengths, strict=True))
+
+    @property
+    def grasp_bytes(self) -> dict[str, int]:
+        """What the images, and what is kept of the touch, take of a grasp before compression."""
+        sizes, layout = self.sizes(1), self.layout
+        return {
+            field.name: len(self.pads) * field.n_bytes(sizes)
+            for field in layout.fields
+            if field.of == "pad" and field.image
+        }
 
     @property
     def n_shards(self) -> int:

@@ -4,8 +4,9 @@ Writer, checker, reader, exports and the dataset's card go through ``FIELDS``: a
 entry here, and an attribute of the sample that it is taken from.
 
 A shard of N grasps with T frames and images of H × W pixels holds ``/grasp/…``, one array a column;
-``/tactile/<sensor>/rgb``, ``reference`` and ``depth_mm``; ``/contact/…``; ``/object/pose``;
-``/scene/picture`` of h × w pixels; and ``/time_s``.
+``/tactile/<sensor>/rgb``, ``reference``, and where the recipe asks for them ``depth_mm``,
+``markers_mm`` and ``force_field_n``; ``/contact/…``; ``/object/pose``; ``/scene/picture`` of h × w
+pixels; and ``/time_s``.
 
 With one tactile pad ``<sensor>`` is the sensor's name. With two, everything about a pad
 stands once for each: ``/tactile/<sensor>_left/…`` and ``/tactile/<sensor>_right/…``,
@@ -14,11 +15,14 @@ which there are. Text is UTF-8 of fixed length. A grasp that could not be execut
 its status, and zeros for all that was not measured.
 """
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import groupby
 from operator import attrgetter
 from typing import Any, get_args
+
+import numpy as np
 
 from tacgen.core.records import Status
 
@@ -32,6 +36,11 @@ FRAMES_UNTIL = "frames_until"
 """Root attribute: ``lift`` where no frame is later than the start of the lift."""
 NOISE_AT_LOAD = "noise_at_load_grey"
 """Root attribute: standard deviation of the camera's noise that readers add; none if missing."""
+REST = "rest_mm"
+"""Attribute of an array: where what it moves from is at rest."""
+
+MAX_CELLS = 256
+"""Of a force field along a side: about one a pixel of the smallest sensor."""
 
 MAX_OBJECT_BYTES, MAX_REASON_BYTES = 64, 160
 
@@ -74,7 +83,9 @@ class Field:
     for what a dataset decides, or fixed lengths). ``source`` is the attribute that it holds: of the
     ``sample`` of a grasp, of the sample of a ``pad``, or of the ``spec`` of the dataset; where that
     is None, NaN or zeros stand. ``asked_by`` is the attribute of the spec that asks for it, empty
-    for what is always there. See ``ArraySpec`` for the others.
+    for what is always there, and ``recipe`` how a recipe does. ``rest`` is the attribute of the
+    spec that holds its values (M, 2) on a gel at rest, which stand beside it as the attribute
+    ``rest_mm``. See ``ArraySpec`` for the others.
     """
 
     group: str
@@ -86,6 +97,8 @@ class Field:
     description: str
     source: str
     asked_by: str = ""
+    recipe: str = ""
+    rest: str = ""
     nan: bool = False
     image: bool = False
     noisy: bool = False
@@ -106,12 +119,22 @@ class Field:
         return self.group in ("tactile", "contact")
 
     @property
+    def is_of_frames(self) -> bool:
+        """Whether each frame of a grasp has one."""
+        return self.axes[:2] == ("N", "T")
+
+    @property
     def column_names(self) -> tuple[str, ...]:
         """Its columns in a table of frames: itself, or x and y of a vector on the gel."""
         if self.axes[2:] != (2,):
             return (self.name,)
         stem, _, unit = self.name.rpartition("_")
         return tuple(f"{stem}_{axis}_{unit}" for axis in "xy")
+
+    def n_bytes(self, sizes: Mapping[str, int]) -> int:
+        """What it takes before compression, by the lengths of the axes."""
+        lengths = [sizes[n] if isinstance(n, str) else n for n in self.axes]
+        return np.dtype(self.dtype).itemsize * math.prod(lengths)
 
     def value(self, owner: object) -> Any:
         """What ``owner`` has of it; None where it has nothing."""
@@ -161,6 +184,11 @@ VALIDITY = {
 """What each frame of a pad says of its image, and what that means: 0 where it shows the force."""
 
 _GREY: dict[str, Any] = {"dtype": "uint8", "image": True}
+_TOUCH: dict[str, Any] = {"group": "tactile", "image": True}  # compressed, one frame a chunk
+_FORCE_FIELD = (
+    "force of the object on each cell of the gel's window: along x, along y, into the gel; sums to "
+    "the part of the frame's force that acts in the window"
+)
 FIELDS: tuple[Field, ...] = (
     _column("index", "1", "", "number of the grasp in the dataset", "config.index", dtype="int64"),
     _text("object", MAX_OBJECT_BYTES, "name of the object", "config.object"),
@@ -202,10 +230,21 @@ FIELDS: tuple[Field, ...] = (
     ),
     _of_pad(
         *("depth_mm", ("N", "H", "W"), "mm", "indentation at the moment of grasp"),
-        group="tactile",
-        dtype="float16",
-        image=True,
-        asked_by="depth",
+        **_TOUCH | {"dtype": "float16", "asked_by": "depth", "recipe": "depth: grasp"},
+    ),
+    _of_pad(
+        *("depth_mm", ("N", "T", "H", "W"), "mm", "indentation"),
+        **_TOUCH | {"dtype": "float16", "asked_by": "depth_of_frames", "recipe": "depth: all"},
+    ),
+    _of_pad(
+        *("markers_mm", ("N", "T", "M", 2), "mm", "how far each marker is from its place at rest"),
+        **_TOUCH | {"dtype": "float32", "asked_by": "marker_rest_mm", "recipe": "markers: true"},
+        rest="marker_rest_mm",
+    ),
+    _of_pad(
+        *("force_field_n", ("N", "T", "rows", "columns", 3), "N", _FORCE_FIELD),
+        **_TOUCH | {"dtype": "float32", "asked_by": "force_field"},
+        recipe="force_field: [rows, columns]",
     ),
     _of_pad("force_normal_n", ("N", "T"), "N", "force into the gel"),
     _of_pad("force_shear_n", ("N", "T", 2), "N", _ON_GEL),
@@ -226,7 +265,10 @@ FIELDS: tuple[Field, ...] = (
 
 COLUMNS = tuple(field for field in FIELDS if field.group == "grasp")
 PAD_FIELDS = tuple(field for field in FIELDS if field.of == "pad")
-FRAME_FIELDS = tuple(f for f in PAD_FIELDS if f.axes[:2] == ("N", "T") and not f.noisy)
+TOUCH_FIELDS = tuple(f for f in PAD_FIELDS if f.image and not f.noisy)
+"""What a dataset may keep of the touch beside the images. Of two with one name it has one."""
+TOUCH = tuple(dict.fromkeys(field.name for field in TOUCH_FIELDS))
+FRAME_FIELDS = tuple(f for f in PAD_FIELDS if f.is_of_frames and not f.image)
 """Figures of each frame of a pad, (N, T, …)."""
 FLAG_FIELDS = tuple(
     f for f in FRAME_FIELDS if f.axes == ("N", "T") and f.dtype in ("bool", "uint8")
@@ -240,7 +282,10 @@ STATE_FIELDS = tuple(
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """The arrays of one dataset, and where each pad's stand; it is without those ``absent``."""
+    """The arrays of one dataset, and where each pad's stand.
+
+    It is without those that are ``asked_by`` what is ``absent``.
+    """
 
     sensor: str
     pads: tuple[str, ...]
@@ -248,8 +293,18 @@ class Layout:
 
     @property
     def fields(self) -> tuple[Field, ...]:
-        """The fields that the dataset has."""
-        return tuple(field for field in FIELDS if field.name not in self.absent)
+        """The fields that the dataset has; of two in one place the later."""
+        there = (field for field in FIELDS if field.asked_by not in self.absent)
+        return tuple({(field.group, field.name): field for field in there}.values())
+
+    @property
+    def of_pads(self) -> tuple[Field, ...]:
+        """What it has of each grasp and pad, but the images."""
+        return tuple(field for field in self.fields if field.of == "pad" and not field.noisy)
+
+    def find(self, name: str) -> Field | None:
+        """That of ``of_pads`` of that name; None where the dataset has none."""
+        return next((field for field in self.of_pads if field.name == name), None)
 
     def path(self, field: Field, pad: str = "") -> str:
         """Where a field stands, of one of the pads where each has one."""

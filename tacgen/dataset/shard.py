@@ -25,7 +25,9 @@ from tacgen.dataset.schema import (
     FIELDS,
     FORMAT_VERSION,
     FRAMES_UNTIL,
+    MAX_CELLS,
     NOISE_AT_LOAD,
+    REST,
     ArraySpec,
     Layout,
 )
@@ -40,7 +42,8 @@ _BROKEN = (OSError, RuntimeError, KeyError, ValueError, TypeError, UnicodeError,
 class Shard:
     """An open shard whose structure is what the schema says.
 
-    ``arrays`` maps the paths of ``layout`` to what stands there.
+    ``arrays`` maps the paths of ``layout`` to what stands there, ``rest_mm`` (M, 2) those of arrays
+    that say how far something is from its place at rest to those places.
     """
 
     path: Path
@@ -51,6 +54,8 @@ class Shard:
     recipe_sha256: str
     noise_at_load_grey: float
     until: Until
+    mm_per_px: float
+    rest_mm: Mapping[str, NDArray[np.float64]]
 
     def read(self, path: str) -> NDArray[Any]:
         """The whole of a small array."""
@@ -135,12 +140,24 @@ def _checked(path: Path, file: h5py.File) -> Shard:
         noise_grey = np.nan if stored is None else float(stored)
         if not 0 < noise_grey < np.inf:
             problems.append(f"{NOISE_AT_LOAD} is not a standard deviation")
+    rest_mm: dict[str, NDArray[np.float64]] = {}
+    for field, _, place in layout.placed():
+        array = found[place]
+        if field.rest and array is not None:
+            stored = _attribute(array, REST, "f", (sizes[str(field.axes[2])], 2))
+            if stored is None or not np.isfinite(stored).all():
+                problems.append(f"{place} has no attribute {REST}: where each is at rest")
+            else:
+                rest_mm[place] = stored
     if problems:
         _refuse(path, problems)
+    scale = _attribute(file, "mm_per_px", "f", ())
+    mm_per_px = np.nan if scale is None else float(scale)
     arrays = {name: h5py.Dataset(ident) for name, ident in found.items()}
     recipe_sha256 = _text(file, "recipe_sha256")
     until: Until = "lift" if _text(file, FRAMES_UNTIL) == "lift" else "outcome"
-    return Shard(path, file, layout, arrays, (start, stop), recipe_sha256, noise_grey, until)
+    about = (recipe_sha256, noise_grey, until, mm_per_px, rest_mm)
+    return Shard(path, file, layout, arrays, (start, stop), *about)
 
 
 def _refuse(path: Path, problems: Sequence[str]) -> NoReturn:
@@ -169,9 +186,17 @@ def _layout_of(path: Path, file: h5py.File) -> Layout:
     elif not sensor or "/" in sensor or not set(names) <= set(PADS):
         _refuse(path, [f"sensor {sensor!r} with pads {pads!r} is not known"])
     whole = Layout(sensor, names)
+    return Layout(sensor, names, frozenset(_absent(file, whole, names[0])))
+
+
+def _absent(file: h5py.File, whole: Layout, pad: str) -> Iterator[str]:
+    """What the dataset was not asked for, by what is there; of two in one place the rank tells."""
     optional = [field for field in FIELDS if field.asked_by]
-    absent = {f.name for f in optional if _array_at(file, whole.path(f, names[0])) is None}
-    return Layout(sensor, names, frozenset(absent))
+    for field in optional:
+        found = _array_at(file, whole.path(field, pad))
+        ranks = {len(f.axes) for f in optional if (f.group, f.name) == (field.group, field.name)}
+        if found is None or found.rank in ranks - {len(field.axes)}:
+            yield field.asked_by
 
 
 def _text(file: h5py.File, name: str) -> str:
@@ -181,12 +206,13 @@ def _text(file: h5py.File, name: str) -> str:
 
 
 def _attribute(
-    file: h5py.File, name: str, kind: str, shape: tuple[int, ...]
+    owner: h5py.File | h5d.DatasetID, name: str, kind: str, shape: tuple[int, ...]
 ) -> NDArray[Any] | None:
     """An attribute of that kind of type and shape, its type looked at before it is read."""
-    if not h5a.exists(file.id, name.encode()):
+    ident = owner.id if isinstance(owner, h5py.File) else owner
+    if not h5a.exists(ident, name.encode()):
         return None
-    attribute = h5a.open(file.id, name.encode())
+    attribute = h5a.open(ident, name.encode())
     dtype = attribute.get_type().dtype
     if dtype.kind != kind or dtype.itemsize > MAX_TEXT_BYTES or attribute.shape != shape:
         return None
@@ -210,6 +236,7 @@ def _sizes_of(path: Path, file: h5py.File, layout: Layout, start: int, stop: int
     axes = {axis for array in layout.arrays() for axis in array.shape if isinstance(axis, str)}
     sizes = {axis: sizes.get(axis, 0) for axis in sorted(axes)}
     limits = dict.fromkeys(sizes, MAX_SIDE_PX) | {"N": MAX_GRASPS, "T": MAX_FRAMES}
+    limits |= dict.fromkeys([k for k in ("rows", "columns") if k in sizes], MAX_CELLS)
     problems = [
         f"{k} = {sizes[k]} exceeds {limit}" for k, limit in limits.items() if sizes[k] > limit
     ]

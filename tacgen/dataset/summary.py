@@ -1,5 +1,6 @@
 """What a dataset holds, from its manifest: counts, balance, sizes, origin; and its card."""
 
+import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,14 +21,18 @@ from tacgen.report.page import templates
 
 
 def summarize(root: Path | str) -> dict[str, Any]:
-    """The figures of ``tacgen inspect``, finished or not; opens shards with unexecuted grasps only.
+    """The figures of ``tacgen inspect``, finished or not.
+
+    It opens the first shard, and those with grasps that were not executed.
 
     ``success_rate`` is over executed grasps, None where none was; ``ratio`` is the size of the
     arrays over that of the files; ``not_executed`` counts grasps by the reason why they could not
     be executed, reasons that differ only in numbers as the first of them. ``validity`` counts the
     frames of executed grasps and those whose images do not show the whole force. ``inputs`` are the
     hashes of all that the shards depend on, ``parts`` the grasps at first and those that each
-    growth added.
+    growth added. ``arrays`` are the images and what is kept of the touch: of which shape (without
+    the grasps), and the bytes a grasp takes of all pads, before compression (``raw_bytes``) and in
+    the first shard.
 
     Raises ``DatasetError`` if there is no finished shard, or the manifest cannot be read.
     """
@@ -68,7 +73,25 @@ def summarize(root: Path | str) -> dict[str, Any]:
         "ratio": raw / max(n_bytes, 1),
         "not_executed": _reasons(folder, lines),
         "validity": _validity(lines),
+        "arrays": _arrays(folder, lines[0]),
     }
+
+
+def _arrays(folder: DatasetFolder, line: ShardLine) -> dict[str, dict[str, Any]]:
+    path = folder.shard_path(line.shard)
+    n_stored = max(line.status.get("executed", 0), 1)
+    found: dict[str, dict[str, Any]] = {}
+    with closing(open_shard(path)) as shard, broken_as_error(path):
+        for field, _, place in shard.layout.placed():
+            if field.of == "pad" and field.image:
+                stored = shard.arrays[place]
+                shape, pads = stored.shape[1:], len(shard.layout.pads)
+                raw = pads * stored.dtype.itemsize * math.prod(shape)
+                of_name = found.setdefault(
+                    field.name, {"shape": list(shape), "raw_bytes": raw, "bytes": 0}
+                )
+                of_name["bytes"] += round(stored.id.get_storage_size() / n_stored)
+    return found
 
 
 def none_executed(summary: Mapping[str, Any]) -> bool:
@@ -116,6 +139,22 @@ def success_rate(counts: Mapping[str, int]) -> float | None:
     return counts.get("success", 0) / executed if executed else None
 
 
+def arrays_text(summary: Mapping[str, Any]) -> str:
+    """What a grasp's images, and what is kept of its touch, take on disk."""
+    found = []
+    for name, cost in summary["arrays"].items():
+        shape = cost["shape"]
+        of = {
+            "rgb": "",
+            "depth_mm": "of every frame " if len(shape) == 3 else "of the moment of grasp ",
+            "markers_mm": f"of {shape[-2]} markers ",
+            "force_field_n": f"of {' × '.join(map(str, shape[1:3]))} cells ",
+        }.get(name, "")
+        raw = f" ({cost['raw_bytes'] / 1e3:.1f} raw)"
+        found.append(f"{name} {of}{cost['bytes'] / 1e3:.1f} kB{raw}")
+    return ", ".join(found)
+
+
 def summary_text(summary: Mapping[str, Any]) -> str:
     """A page of plain text for a terminal."""
     table = [("object", *(name.replace("_", " ") for name in OUTCOME.values()), "success rate")]
@@ -125,7 +164,8 @@ def summary_text(summary: Mapping[str, Any]) -> str:
         table.append((name, *(str(tally[outcome]) for outcome in OUTCOME.values()), share))
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     page = templates("tacgen.dataset", escaped=False).get_template("summary.txt")
-    text = page.render(summary=summary, table=table, widths=widths).rstrip("\n")
+    kept = arrays_text(summary)
+    text = page.render(summary=summary, table=table, widths=widths, kept=kept).rstrip("\n")
     return "\n".join([text, *not_executed_lines(summary), *validity_lines(summary)])
 
 
@@ -147,6 +187,7 @@ def write_card(root: Path | str) -> Path:
         width=width,
         first=first,
         until=dataset.until,
+        kept=arrays_text(summary),
     )
     dataset.close()
     replace_page(folder.card_path, text)

@@ -1,5 +1,6 @@
 """A dataset's executed grasps as a ``torch`` dataset."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -10,7 +11,7 @@ from torch.utils.data import Dataset as TorchDataset
 
 from tacgen.core.errors import DatasetError, require_known
 from tacgen.core.records import LABEL_NOT_EXECUTED
-from tacgen.dataset.schema import SPLITS
+from tacgen.dataset.schema import SPLITS, TOUCH
 
 
 class Grasps(Protocol):
@@ -24,22 +25,36 @@ class Grasps(Protocol):
     def rgb(self, index: int, pad: str | None = None, frame: int | None = None) -> NDArray[Any]:
         """The images of a grasp, or one of its frames."""
 
+    def touch(
+        self, index: int, name: str, pad: str | None = None, frame: int | None = None
+    ) -> NDArray[Any]:
+        """What is kept of the touch beside them."""
 
-class TorchGrasps(TorchDataset[tuple[torch.Tensor, torch.Tensor]]):
+
+class TorchGrasps(TorchDataset[Any]):
     """(images, label) of each executed grasp; images float32 in [0, 1], channels first.
 
-    Those of several ``pads`` are stacked in front.
+    Those of several ``pads`` are stacked in front. With ``channels`` a dictionary of them and the
+    label instead; see ``tacgen.Dataset.torch``.
 
-    Raises ``DatasetError`` if ``split`` or ``frames`` is unknown, or no executed grasp is on that
-    side of the split.
+    Raises ``DatasetError`` if ``split``, ``frames`` or a channel is unknown or the dataset does not
+    keep it, or no executed grasp is on that side of the split.
     """
 
     def __init__(
-        self, dataset: Grasps, split: str | None, frames: str, pads: tuple[str, ...]
+        self,
+        dataset: Grasps,
+        split: str | None,
+        frames: str,
+        pads: tuple[str, ...],
+        channels: Sequence[str] | None = None,
+        transform: Callable[[Any], Any] | None = None,
     ) -> None:
         require_known("split", split or "train", SPLITS, DatasetError)
         require_known("frames", frames, ("grasp", "sequence"), DatasetError)
         self._dataset, self._frames, self._pads = dataset, frames, pads
+        self._channels = None if channels is None else tuple(channels)
+        self._transform = transform
         columns = dataset.columns()
         chosen = columns["label"] != LABEL_NOT_EXECUTED
         if split is not None:
@@ -50,19 +65,33 @@ class TorchGrasps(TorchDataset[tuple[torch.Tensor, torch.Tensor]]):
         self.indices = columns["index"][chosen]
         self.labels = torch.as_tensor(columns["label"][chosen].astype(np.int64))
         self._grasp_frame = columns["grasp_frame"][chosen]
+        for name in self._channels or ():
+            require_known("channel", name, ("rgb", *TOUCH), DatasetError)
+            self._values(0, name)  # which says what the dataset does not keep
 
     def __len__(self) -> int:
         return len(self.indices)
 
     def __getitem__(self, place: Any) -> Any:
-        """The pair at a place, or a list of them for a slice."""
+        """The sample at a place, or a list of them for a slice."""
         if isinstance(place, slice):
             return [self[k] for k in range(*place.indices(len(self)))]
         if not -len(self) <= place < len(self):
             raise IndexError(place)
-        frame = int(self._grasp_frame[place]) if self._frames == "grasp" else None
+        same = self._transform or (lambda sample: sample)
+        if self._channels is None:
+            return same(self._values(place, "rgb")), self.labels[place]
+        values = {name: self._values(place, name) for name in self._channels}
+        return same(values | {"label": self.labels[place]})
+
+    def _values(self, place: int, name: str) -> torch.Tensor:
+        """One channel of the sample at a place, float32, of several pads stacked in front."""
         index = int(self.indices[place])
-        each = [self._dataset.rgb(index, pad, frame) for pad in self._pads]
-        rgb = each[0] if len(each) == 1 else np.stack(each)
-        images = torch.from_numpy(np.ascontiguousarray(np.moveaxis(rgb, -1, -3)))
-        return images.float() / 255.0, self.labels[place]
+        frame = int(self._grasp_frame[place]) if self._frames == "grasp" else None
+        if name == "rgb":
+            each = [self._dataset.rgb(index, pad, frame) for pad in self._pads]
+            each = [np.moveaxis(rgb, -1, -3) for rgb in each]
+        else:
+            each = [self._dataset.touch(index, name, pad, frame) for pad in self._pads]
+        held = torch.from_numpy(np.ascontiguousarray(each[0] if len(each) == 1 else np.stack(each)))
+        return held.float() / 255.0 if name == "rgb" else held.float()

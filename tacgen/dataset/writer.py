@@ -16,7 +16,14 @@ from tacgen.dataset.compression import storage_of, write_images
 from tacgen.dataset.inputs import library_versions
 from tacgen.dataset.manifest import ShardLine, shard_file
 from tacgen.dataset.samples import DatasetSpec, GraspSample, shard_range
-from tacgen.dataset.schema import FORMAT_VERSION, FRAMES_UNTIL, NOISE_AT_LOAD, Field, Layout
+from tacgen.dataset.schema import (
+    FORMAT_VERSION,
+    FRAMES_UNTIL,
+    NOISE_AT_LOAD,
+    REST,
+    Field,
+    Layout,
+)
 
 # The oldest file format that holds all this, so that a newer HDF5 writes the same bytes.
 LIBRARY_VERSION = ("v110", "v110")
@@ -54,6 +61,8 @@ def write_shard_file(
             for field, _, place in layout.placed():
                 if field.of == "spec":
                     file[place][...] = field.value(spec)
+                if field.rest:
+                    file[place].attrs[REST] = np.asarray(getattr(spec, field.rest), np.float64)
         disk.raise_failure()
     raw = sum(np.dtype(a.dtype).itemsize * int(np.prod(a.resolve(sizes))) for a in layout.arrays())
     return ShardLine(

@@ -125,6 +125,10 @@ class _ConstantImages(SimulatedGrasps):
         """The undeformed gel, (len(frames), H, W, 3) RGB."""
         return np.repeat(self.reference[None], len(frames), axis=0)
 
+    def touch(self, row: int, frames: Sequence[int], name: str) -> NDArray[np.floating]:
+        """No motion and no force."""
+        return np.zeros_like(super().touch(row, frames, name))
+
 
 def _with_shuffled_labels(
     source: SimulatedGrasps, plan: ModelPlan, *, seed: int, shuffle: int

@@ -78,7 +78,8 @@ class TrainingState:
         torch.manual_seed(self._seed(_STREAM_START))
         resumes = folder.checkpoint_path.is_file()
         weights = "none" if resumes else job.recipe.model.weights
-        self.network = build_network(job.spec.kind, weights)
+        sizes = [one.size for one in job.spec.touch]
+        self.network = build_network(job.spec.kind, weights, sizes)
         self.network.to(device)
         self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.average = AveragedModel(

@@ -133,6 +133,14 @@ class SimulatedGrasps:
         index = int(self._indices[row])
         return np.stack([self.dataset.rgb(index, self.pad, int(frame)) for frame in frames])
 
+    def touch(self, row: int, frames: Sequence[int], name: str) -> NDArray[np.floating]:
+        """Markers or force field in some frames of one grasp; see ``Dataset.touch``.
+
+        Raises ``DatasetError`` if the dataset does not keep them.
+        """
+        index = int(self._indices[row])
+        return np.stack([self.dataset.touch(index, name, self.pad, int(one)) for one in frames])
+
     def frame_count(self, row: int) -> int:
         """How many images the grasp has."""
         return self.n_frames
@@ -193,6 +201,11 @@ class RealGraspImages:
         Raises ``LearningError`` if one cannot be read, or is not of the size of the others.
         """
         return np.stack([self._read(self._grasps[row].images[frame]) for frame in frames])
+
+    def touch(self, row: int, frames: Sequence[int], name: str) -> NDArray[np.floating]:
+        """What a folder of pictures does not have: raises ``LearningError``."""
+        msg = f"{self.folder}: holds images alone, no {name}, which the network also needs"
+        raise LearningError(msg)
 
     def frame_count(self, row: int) -> int:
         """How many images the grasp has."""

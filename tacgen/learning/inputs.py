@@ -1,5 +1,6 @@
 """From tactile images to the network's input: choose, resize, subtract, normalise."""
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -23,6 +24,28 @@ MIN_GAIN = 0.1  # of an image against the gel at rest; a darker one shows nothin
 FAINT_GREY = 1.0  # contrast of the camera's noise at the network's size, which is not amplified
 
 
+ARRAYS = {"markers": "markers_mm", "force_field": "force_field_n"}
+"""The dataset's array of each channel beside the image."""
+
+
+@dataclass(frozen=True, slots=True)
+class TouchInput:
+    """A channel beside the image: its name in recipes, and the ``shape`` of one frame.
+
+    ``scale`` is the root mean square in training of each entry of its last axis, by which it is
+    divided: x and y of markers, shear x, shear y and normal of a force field.
+    """
+
+    name: Literal["markers", "force_field"]
+    shape: tuple[int, ...]
+    scale: tuple[float, ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Numbers of one frame."""
+        return math.prod(self.shape)
+
+
 @dataclass(frozen=True, slots=True)
 class InputSpec:
     """How images become input; kept with the model, so that evaluation does the same.
@@ -33,7 +56,8 @@ class InputSpec:
     undeformed gel), or nothing (``raw``). Images of another size than ``source_shape_px`` are
     refused. ``normalised`` removes each image's gain and each grasp's contrast: sensors differ in
     them. ``mean`` and ``std`` are those of the training images, by channel: the input is
-    (image − mean) / std. ``until`` says whether a sequence ends before the lift or shows it.
+    (image − mean) / std. ``until`` says whether a sequence ends before the lift or shows it,
+    ``touch`` what the network sees beside the image.
     """
 
     kind: Literal["single", "sequence"]
@@ -45,6 +69,7 @@ class InputSpec:
     std: tuple[float, float, float] = (1.0, 1.0, 1.0)
     normalised: bool = False
     until: Until = "outcome"
+    touch: tuple[TouchInput, ...] = ()
 
     @property
     def shows_until(self) -> Literal["grasp", "lift", "outcome"]:
@@ -89,7 +114,49 @@ def check_source(spec: InputSpec, source: GraspSource, rows: Iterable[int], wher
                 f"{where}: {len(short)} grasps have a single image ({', '.join(short[:3])}, …), "
                 "the sequence network needs two or more; use model.kind: single, or sequences"
             )
+    for one in spec.touch:
+        shape = touch_shape(source, one.name)
+        if shape != one.shape:
+            problems.append(
+                f"{where}: its {ARRAYS[one.name]} is of {_by(shape)} a frame, the model was "
+                f"trained on {_by(one.shape)}; collect it with the same sensor and force_field"
+            )
     LearningError.raise_if(problems)
+
+
+def _by(shape: tuple[int, ...]) -> str:
+    return "×".join(map(str, shape))
+
+
+def touch_shape(source: GraspSource, channel: str) -> tuple[int, ...]:
+    """The shape of a channel beside the image in one frame of a source.
+
+    Raises ``TacgenError`` if the source has no such channel.
+    """
+    return source.touch(0, [0], ARRAYS[channel]).shape[1:]
+
+
+def read_touch(source: GraspSource, row: int, spec: InputSpec) -> list[NDArray[np.float32]]:
+    """Each channel beside the image in the frames of ``read_input``, (T, …) of its shape."""
+    frames = frames_of(source, row, spec) if spec.touch else []
+    return [source.touch(row, frames, ARRAYS[one.name]).astype(np.float32) for one in spec.touch]
+
+
+def touch_to_network(found: list[NDArray[np.float32]], spec: InputSpec) -> NDArray[np.float32]:
+    """The channels of ``read_touch`` as the network's input, (T, n) float32."""
+    parts = zip(found, spec.touch, strict=True)
+    scaled = [part / np.asarray(one.scale, np.float32) for part, one in parts]
+    return np.concatenate([part.reshape(len(part), -1) for part in scaled], axis=1)
+
+
+def with_touch_scale(spec: InputSpec, inputs: Iterable[list[NDArray[np.float32]]]) -> InputSpec:
+    """The spec with the scales of the ``inputs``, each as of ``read_touch``."""
+    touch = []
+    for one, found in zip(spec.touch, zip(*inputs, strict=True), strict=False):
+        squares = [np.square(part.astype(np.float64)).reshape(-1, one.shape[-1]) for part in found]
+        rms = np.sqrt(np.concatenate(squares).mean(axis=0))
+        touch.append(replace(one, scale=tuple(np.where(rms > 0, rms, 1.0).tolist())))
+    return replace(spec, touch=tuple(touch))
 
 
 def resized(images: NDArray[np.uint8], size_px: tuple[int, int]) -> NDArray[np.uint8]:

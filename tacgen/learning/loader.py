@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -9,7 +10,16 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from tacgen.learning.grasps import GraspSource
-from tacgen.learning.inputs import InputSpec, augmented, read_input, resized, to_network
+from tacgen.learning.inputs import (
+    InputSpec,
+    augmented,
+    read_input,
+    read_touch,
+    resized,
+    to_network,
+    touch_to_network,
+)
+from tacgen.learning.networks import NetworkInput, TouchedImages
 from tacgen.learning.training_recipe import Augmentation
 
 _STREAM_ORDER, _STREAM_AUGMENT = 10, 11  # keep the random numbers of one seed apart
@@ -18,7 +28,8 @@ _STREAM_ORDER, _STREAM_AUGMENT = 10, 11  # keep the random numbers of one seed a
 class DecodedInputs:
     """The frames of some grasps at the network's size: item ``i`` is (T, h, w, 3) uint8.
 
-    All are decoded once and kept in memory if they fit into ``cache_mb``.
+    All are decoded once and kept in memory if they fit into ``cache_mb``, with what the network
+    sees beside the image, ``touch(i)``.
     """
 
     def __init__(
@@ -26,10 +37,13 @@ class DecodedInputs:
     ) -> None:
         self.rows, self.labels = rows, source.table.label[rows]
         self._source, self._spec = source, spec
-        n_bytes = len(rows) * spec.n_frames * spec.size_px[0] * spec.size_px[1] * 3
+        numbers = sum(one.size for one in spec.touch)
+        n_bytes = spec.size_px[0] * spec.size_px[1] * 3 + 4 * numbers
         self._cache: list[NDArray[np.uint8]] | None = None
-        if n_bytes <= cache_mb << 20:
+        self._touch: list[list[NDArray[np.float32]]] | None = None
+        if len(rows) * spec.n_frames * n_bytes <= cache_mb << 20:
             self._cache = [read_input(source, int(row), spec) for row in rows]
+            self._touch = [read_touch(source, int(row), spec) for row in rows]
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -38,6 +52,12 @@ class DecodedInputs:
         if self._cache is not None:
             return self._cache[item]
         return read_input(self._source, int(self.rows[item]), self._spec)
+
+    def touch(self, item: int) -> list[NDArray[np.float32]]:
+        """What the network sees of an item beside its images; see ``read_touch``."""
+        if self._touch is not None:
+            return self._touch[item]
+        return read_touch(self._source, int(self.rows[item]), self._spec)
 
 
 class Batches:
@@ -62,13 +82,13 @@ class Batches:
         spec = replace(self._spec, normalised=False)
         return Batches(self._inputs, spec, self._reference, self._batch_size)
 
-    def in_order(self) -> Iterator[tuple[Tensor, Tensor, NDArray[np.int64]]]:
+    def in_order(self) -> Iterator[tuple[NetworkInput, Tensor, NDArray[np.int64]]]:
         """Every grasp once, in the order of the rows."""
         yield from self._batches(self._divide(np.arange(len(self._inputs))))
 
     def shuffled(
         self, seed: int, epoch: int, augmentation: Augmentation
-    ) -> Iterator[tuple[Tensor, Tensor, NDArray[np.int64]]]:
+    ) -> Iterator[tuple[NetworkInput, Tensor, NDArray[np.int64]]]:
         """Every grasp once, in an order and with changes that depend on seed and epoch alone."""
         rng = _rng(seed, epoch, _STREAM_ORDER)
         order = self._divide(rng.permutation(len(self._inputs)))
@@ -85,29 +105,40 @@ class Batches:
         order: list[NDArray[np.int64]],
         augmentation: Augmentation | None = None,
         key: tuple[int, int] = (0, 0),
-    ) -> Iterator[tuple[Tensor, Tensor, NDArray[np.int64]]]:
+    ) -> Iterator[tuple[NetworkInput, Tensor, NDArray[np.int64]]]:
         for items in order:
             frames = [self._inputs[int(item)] for item in items]
             if augmentation is not None and augmentation.on:
                 rngs = [_rng(*key, _STREAM_AUGMENT, int(item)) for item in items]
                 pairs = zip(frames, rngs, strict=True)
                 frames = [augmented(f, self._reference, augmentation, rng) for f, rng in pairs]
-            images = as_batch(frames, self._reference, self._spec)
-            yield images, torch.from_numpy(self._inputs.labels[items]), items
+            touch = [self._inputs.touch(int(item)) for item in items] if self._spec.touch else []
+            inputs = as_batch(frames, self._reference, self._spec, touch)
+            yield inputs, torch.from_numpy(self._inputs.labels[items]), items
 
 
 def as_batch(
-    frames: list[NDArray[np.uint8]], reference: NDArray[np.uint8] | None, spec: InputSpec
-) -> Tensor:
-    """(B, T, 3, h, w) float32; shorter sequences repeat their last frame.
+    frames: list[NDArray[np.uint8]],
+    reference: NDArray[np.uint8] | None,
+    spec: InputSpec,
+    touch: list[list[NDArray[np.float32]]],
+) -> NetworkInput:
+    """(B, T, 3, h, w) float32, with the ``touch`` of each grasp where the network sees it.
 
-    All are padded to the network's length, so that no prediction depends on the other grasps of
-    its batch.
+    Shorter sequences repeat their last frame: all are padded to the network's length, so that no
+    prediction depends on the other grasps of its batch.
     """
     n = spec.n_frames
-    filled = [np.concatenate([g, g[-1:].repeat(n - len(g), axis=0)]) for g in frames]
-    images = to_network(np.stack(filled), reference, spec)
-    return torch.from_numpy(np.ascontiguousarray(np.moveaxis(images, -1, 2)))
+    images = to_network(np.stack([_filled(one, n) for one in frames]), reference, spec)
+    batch = torch.from_numpy(np.ascontiguousarray(np.moveaxis(images, -1, 2)))
+    if not spec.touch:
+        return batch
+    vectors = [_filled(touch_to_network(one, spec), n) for one in touch]
+    return TouchedImages(batch, torch.from_numpy(np.stack(vectors)))
+
+
+def _filled(frames: NDArray[Any], count: int) -> NDArray[Any]:
+    return np.concatenate([frames, frames[-1:].repeat(count - len(frames), axis=0)])
 
 
 def _rng(seed: int, *key: int) -> np.random.Generator:

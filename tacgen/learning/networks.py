@@ -4,7 +4,8 @@ Source: Si et al. 2022, *Grasp Stability Prediction with Sim-to-Real Transfer fr
 arXiv 2208.02885, section III.D.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import torch
 from scipy.special import expit
@@ -20,6 +21,21 @@ CLASSES = 2
 DROPOUT = 0.2
 LSTM_LAYERS, LSTM_UNITS, SEQUENCE_HIDDEN = 3, 128, 64
 SINGLE_HIDDEN = 256
+TOUCH_HIDDEN, TOUCH_FEATURES = 128, 64  # of each channel beside the image
+
+
+class TouchedImages(NamedTuple):
+    """Images (B, T, 3, H, W) with what is known of the touch in each frame, (B, T, n)."""
+
+    images: Tensor
+    touch: Tensor
+
+    def to(self, device: str) -> "TouchedImages":
+        """Both on a device."""
+        return TouchedImages(self.images.to(device), self.touch.to(device))
+
+
+NetworkInput = Tensor | TouchedImages
 
 
 class StabilityNet(nn.Module):
@@ -37,9 +53,25 @@ class StabilityNet(nn.Module):
         """Share of successes among the grasps to predict."""
         return float(expit(self.prior_logit))
 
-    def __init__(self, weights: str) -> None:
+    def __init__(self, weights: str, touch: Sequence[int] = ()) -> None:
         super().__init__()
         self.backbone: Backbone = make_backbone(weights)
+        self._touch_sizes = list(touch)
+        self.branches = nn.ModuleList(_branch(size) for size in touch)
+
+    @property
+    def n_features(self) -> int:
+        """How many features a frame has."""
+        return FEATURES + TOUCH_FEATURES * len(self.branches)
+
+    def features(self, inputs: NetworkInput) -> Tensor:
+        """Features (B·T, n_features) of each frame: of its image, and beside it of its touch."""
+        images = inputs if isinstance(inputs, Tensor) else inputs.images
+        found: list[Tensor] = [self.backbone(images.flatten(0, 1))]
+        if not isinstance(inputs, Tensor):
+            parts = torch.split(inputs.touch.flatten(0, 1), self._touch_sizes, dim=1)
+            found += [branch(part) for branch, part in zip(self.branches, parts, strict=True)]
+        return torch.cat(found, dim=1)
 
     def load(self, weights: Mapping[str, Tensor], where: str) -> None:
         """Load all ``weights`` of a saved network.
@@ -53,51 +85,64 @@ class StabilityNet(nn.Module):
         self.load_state_dict(weights, strict=False)
 
 
+def _branch(size: int) -> nn.Sequential:
+    first, last = nn.Linear(size, TOUCH_HIDDEN), nn.Linear(TOUCH_HIDDEN, TOUCH_FEATURES)
+    return nn.Sequential(first, nn.ReLU(), last, nn.ReLU())
+
+
 def _head(features: int, hidden: int) -> nn.Sequential:
     first, last = nn.Linear(features, hidden), nn.Linear(hidden, CLASSES)
     return nn.Sequential(first, nn.ReLU(), nn.Dropout(DROPOUT), last)
 
 
 class SingleImageNet(StabilityNet):
-    """One image (B, 1, 3, H, W) to two logits (B, 2): ResNet-18, then 512-256-2."""
+    """One image (B, 1, 3, H, W) to two logits (B, 2): ResNet-18, then 512-256-2.
+
+    Channels beside the image have a branch of n-128-64 each, whose features join the 512.
+    """
 
     kind = "single"
 
-    def __init__(self, weights: str = "none") -> None:
-        super().__init__(weights)
-        self.head = _head(FEATURES, SINGLE_HIDDEN)
+    def __init__(self, weights: str = "none", touch: Sequence[int] = ()) -> None:
+        super().__init__(weights, touch)
+        self.head = _head(self.n_features, SINGLE_HIDDEN)
 
-    def forward(self, images: Tensor) -> Tensor:
+    def forward(self, inputs: NetworkInput) -> Tensor:
         """Normalised images to logits of failure and success."""
-        logits: Tensor = self.head(self.backbone(images[:, 0]))
+        logits: Tensor = self.head(self.features(inputs))
         return logits
 
 
 class SequenceNet(StabilityNet):
     """T images (B, T, 3, H, W) to two logits (B, 2).
 
-    ResNet-18 on each, a 3-layer LSTM(128) over them, its last hidden state, then 128-64-2.
+    ResNet-18 on each, a 3-layer LSTM(128) over them, its last hidden state, then 128-64-2; channels
+    beside the image as in ``SingleImageNet``.
     """
 
     kind = "sequence"
 
-    def __init__(self, weights: str = "none") -> None:
-        super().__init__(weights)
-        self.lstm = nn.LSTM(FEATURES, LSTM_UNITS, LSTM_LAYERS, batch_first=True)
+    def __init__(self, weights: str = "none", touch: Sequence[int] = ()) -> None:
+        super().__init__(weights, touch)
+        self.lstm = nn.LSTM(self.n_features, LSTM_UNITS, LSTM_LAYERS, batch_first=True)
         self.head = _head(LSTM_UNITS, SEQUENCE_HIDDEN)
 
-    def forward(self, images: Tensor) -> Tensor:
+    def forward(self, inputs: NetworkInput) -> Tensor:
         """Normalised images to logits of failure and success."""
+        images = inputs if isinstance(inputs, Tensor) else inputs.images
         n_grasps, n_frames = images.shape[:2]
-        features = self.backbone(images.flatten(0, 1)).view(n_grasps, n_frames, FEATURES)
+        features = self.features(inputs).view(n_grasps, n_frames, self.n_features)
         _, (last_hidden, _) = self.lstm(features)
         logits: Tensor = self.head(last_hidden[-1])
         return logits
 
 
-def build_network(kind: str, weights: str = "none") -> StabilityNet:
-    """The network of ``kind`` ``single`` or ``sequence``, its backbone from ``weights``."""
-    return {"single": SingleImageNet, "sequence": SequenceNet}[kind](weights)
+def build_network(kind: str, weights: str = "none", touch: Sequence[int] = ()) -> StabilityNet:
+    """The network of ``kind`` ``single`` or ``sequence``, its backbone from ``weights``.
+
+    ``touch`` are the numbers a frame of each channel beside the image.
+    """
+    return {"single": SingleImageNet, "sequence": SequenceNet}[kind](weights, touch)
 
 
 def build_optimizer(network: StabilityNet, options: TrainingOptions) -> torch.optim.Adam:

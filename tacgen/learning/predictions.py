@@ -10,11 +10,11 @@ from scipy import optimize, special
 
 from tacgen.learning.checkpoint import ModelCard
 from tacgen.learning.grasps import GraspTable
-from tacgen.learning.networks import StabilityNet
+from tacgen.learning.networks import NetworkInput, StabilityNet
 
 MIN_PROBABILITY = 1e-12
 """Predictions are cut to this, so that one certain mistake does not make the loss infinite."""
-LabelledBatches = Iterable[tuple[torch.Tensor, torch.Tensor, NDArray[np.int64]]]
+LabelledBatches = Iterable[tuple[NetworkInput, torch.Tensor, NDArray[np.int64]]]
 RANGE_MARGIN = 0.5
 """Share of the training's range, on either side: the extremes of some hundred grasps are chance."""
 CONTRAST_RANGE = (0.75, 1.33)
@@ -53,7 +53,8 @@ class Predictions:
 
 def input_statistics(batches: LabelledBatches) -> NDArray[np.float64]:
     """Mean and standard deviation of each colour, (N, 6), over all pixels of each grasp's input."""
-    colors = [images.transpose(1, 2).flatten(2).double() for images, _, _ in batches]
+    inputs = (one if isinstance(one, torch.Tensor) else one.images for one, _, _ in batches)
+    colors = [images.transpose(1, 2).flatten(2).double() for images in inputs]
     return torch.cat([torch.cat([one.mean(2), one.std(2)], dim=1) for one in colors]).numpy()
 
 
@@ -109,8 +110,8 @@ def predict(
     network.eval()
     probabilities, labels = [np.empty(0)], [np.empty(0, np.int64)]
     with torch.inference_mode():
-        for images, truth, _ in batches:
-            logits = network(images.to(device)).double() / network.temperature
+        for inputs, truth, _ in batches:
+            logits = network(inputs.to(device)).double() / network.temperature
             probability = (logits[:, 1] - logits[:, 0] + network.prior_logit).sigmoid()
             probabilities.append(probability.cpu().numpy())
             labels.append(truth.numpy())

@@ -1,6 +1,6 @@
 """A trained network on one's own images: the probability that the grasp will hold."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from tacgen.core.progress import print_status
 from tacgen.core.safe_io import IMAGE_SUFFIXES, read_rgb
 from tacgen.learning.checkpoint import load_model
 from tacgen.learning.device import choose_device, exact_torch
-from tacgen.learning.inputs import InputSpec, chosen_frames, resized
+from tacgen.learning.inputs import ARRAYS, InputSpec, chosen_frames, resized
 from tacgen.learning.loader import as_batch
 from tacgen.learning.predictions import input_statistics, notes_on_images, predict
 from tacgen.learning.run_folder import RunFolder
@@ -62,15 +62,20 @@ class Predictor:
             self._reference = resized(background_rgb[None], self.spec.size_px)[0]
 
     def predict(
-        self, images: NDArray[np.uint8] | Sequence[NDArray[np.uint8]]
+        self,
+        images: NDArray[np.uint8] | Sequence[NDArray[np.uint8]],
+        touch: Mapping[str, Sequence[NDArray[np.floating]]] | None = None,
     ) -> NDArray[np.float64]:
         """Probability of success (N,) of each grasp.
 
         ``images`` are N of (H, W, 3) uint8 RGB, one a grasp, of the size that the network was
         trained on; for a sequence network N of (T, H, W, 3), the frames of each grasp in time
-        order. Raises ``LearningError`` if they are of another size or type.
+        order. ``touch`` holds what the network sees beside them, ``markers_mm`` (M, 2) or
+        ``force_field_n`` (rows, columns, 3) of each image. Raises ``LearningError`` if they are of
+        another size or type, or missing.
         """
         inputs = [self._input(np.asarray(grasp)) for grasp in images]
+        beside = self._touch_of([np.asarray(grasp) for grasp in images], touch or {})
         counts, trained_s = {len(grasp) for grasp in images}, self._trained_s
         if self.spec.shows_until == "lift":
             if max(counts, default=0) > self.spec.n_frames:
@@ -84,12 +89,36 @@ class Predictor:
             )
         unknown, rows = torch.zeros(1, dtype=torch.int64), np.zeros(1, np.int64)
         ref, plain = self._reference, replace(self.spec, normalised=False)
-        as_taken = [(as_batch([grasp], ref, plain), unknown, rows) for grasp in inputs]
-        batches = ((as_batch([grasp], ref, self.spec), unknown, rows) for grasp in inputs)
+        pairs = list(zip(inputs, beside, strict=True))
+        as_taken = [(as_batch([one], ref, plain, [t]), unknown, rows) for one, t in pairs]
+        batches = ((as_batch([one], ref, self.spec, [t]), unknown, rows) for one, t in pairs)
         for note in notes_on_images(input_statistics(as_taken), self._card) if inputs else ():
             print_status(note)
         with exact_torch(self._threads):
             return predict(self._network, batches, self._device)[0]
+
+    def _touch_of(
+        self, images: Sequence[NDArray[Any]], touch: Mapping[str, Sequence[NDArray[np.floating]]]
+    ) -> list[list[NDArray[np.float32]]]:
+        """Of each grasp the channels beside its images, in the frames that the network sees."""
+        found: list[list[NDArray[np.float32]]] = [[] for _ in images]
+        for channel in self.spec.touch:
+            name = ARRAYS[channel.name]
+            if name not in touch or len(touch[name]) != len(images):
+                msg = (
+                    f"the network also sees {name}, {channel.shape} of each image: give "
+                    f'touch={{"{name}": …}} for the {len(images)} grasps'
+                )
+                raise LearningError(msg)
+            for grasp, values, kept in zip(images, touch[name], found, strict=True):
+                frames = np.asarray(values, np.float32)
+                count = 1 if grasp.ndim == 3 else len(grasp)
+                frames = frames[None] if frames.ndim == len(channel.shape) else frames
+                if frames.shape != (count, *channel.shape):
+                    msg = f"{name} of a grasp is {frames.shape}, not {(count, *channel.shape)}"
+                    raise LearningError(msg)
+                kept.append(frames[chosen_frames(self.spec, count, 0)])
+        return found
 
     def _input(self, grasp: NDArray[Any]) -> NDArray[np.uint8]:
         """The frames of one grasp (t, h, w, 3) at the network's size."""

@@ -23,7 +23,15 @@ from tacgen.learning.grasps import (
     SimulatedGrasps,
     frames_until,
 )
-from tacgen.learning.inputs import InputSpec, check_source, resized, with_normalisation
+from tacgen.learning.inputs import (
+    InputSpec,
+    TouchInput,
+    check_source,
+    resized,
+    touch_shape,
+    with_normalisation,
+    with_touch_scale,
+)
 from tacgen.learning.loader import Batches, DecodedInputs
 from tacgen.learning.predictions import predict
 from tacgen.learning.reports import write_training_report
@@ -68,6 +76,11 @@ def train(
         image=options.image,
         source_shape_px=source.shape_px,
         normalised=options.normalised,
+        touch=tuple(
+            TouchInput(name, touch_shape(source, name))
+            for name in options.channels
+            if name != "image"
+        ),
     )
     equal = equal_ranges(source)
     table, notes = one_sided(source.table, equal)
@@ -166,6 +179,7 @@ def train_one(
         ]
         every = (parts[0][item] for item in range(len(parts[0])))
         spec = with_normalisation(spec, every, reference)
+        spec = with_touch_scale(spec, (parts[0].touch(k) for k in range(len(parts[0]))))
         weights = class_weights(parts[0].labels)
         batches, validation = (
             Batches(inputs, spec, reference, recipe.training.batch_size) for inputs in parts

@@ -12,6 +12,8 @@ from pydantic import (
     NonNegativeInt,
     PositiveFloat,
     PositiveInt,
+    SerializerFunctionWrapHandler,
+    model_serializer,
 )
 
 from tacgen.core.config import Section
@@ -31,6 +33,16 @@ def _input_size(size_px: tuple[int, int]) -> tuple[int, int]:
     return size_px
 
 
+CHANNELS = ("image", "markers", "force_field")
+
+
+def _with_image(channels: tuple[str, ...]) -> tuple[str, ...]:
+    if "image" not in channels or len(set(channels)) < len(channels):
+        msg = "names `image`, which the network is of, and each of the others once"
+        raise ValueError(msg)
+    return tuple(name for name in CHANNELS if name in channels)
+
+
 class ModelOptions(Section):
     """The network, with the paper's layers."""
 
@@ -47,6 +59,11 @@ class InputOptions(Section):
 
     pad: PadName | None = None
     """The pad whose images are used; the dataset's first if not given."""
+    channels: Annotated[
+        tuple[Literal["image", "markers", "force_field"], ...], AfterValidator(_with_image)
+    ] = ("image",)
+    """What the network sees: the ``image``, the ``markers``' motion and the ``force_field``, as far
+    as the dataset keeps them; a small branch each beside the ResNet-18."""
     size_px: Annotated[tuple[int, int], AfterValidator(_input_size)] = (120, 160)
     """Height and width to which images are resized."""
     image: Literal["difference", "change", "raw"] = "difference"
@@ -62,9 +79,17 @@ class InputOptions(Section):
     cache_mb: NonNegativeInt = 1024
     """Memory for resized images."""
 
+    @model_serializer(mode="wrap")
+    def _as_before(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Of images alone, what was written before there were other channels: the same hash."""
+        found: dict[str, Any] = write(self)
+        if self.channels == ("image",):
+            del found["channels"]
+        return found
+
 
 class Augmentation(Section):
-    """Random changes of each grasp in each epoch, the same for all of its frames."""
+    """Random changes of each grasp's images in each epoch, the same for all of its frames."""
 
     on: bool = False
     """Whether training images are changed."""

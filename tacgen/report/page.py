@@ -77,15 +77,19 @@ def facts_section(title: str, facts: Iterable[tuple[str, object]], note: str = "
 
 def figure_section(title: str, figure: Figure, note: str = "") -> PageSection:
     """A matplotlib figure as an embedded PNG."""
+    width_px = round(figure.get_figwidth() * 96)
+    return _section(title, "image", figure_uri(figure), title, width_px, typeset(note))
+
+
+def figure_uri(figure: Figure) -> str:
+    """A matplotlib figure as a PNG data URI."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     buffer = io.BytesIO()
     figure.set_dpi(FIGURE_DPI)
     # `savefig` would draw twice.
     FigureCanvasAgg(figure).print_png(buffer)  # type: ignore[no-untyped-call]
-    width_px = round(figure.get_figwidth() * 96)
-    uri = f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
-    return _section(title, "image", uri, title, width_px, typeset(note))
+    return f"data:image/png;base64,{base64.b64encode(buffer.getvalue()).decode()}"
 
 
 def pictures_section(title: str, items: Iterable[tuple[str, Image]], note: str = "") -> PageSection:

@@ -70,7 +70,8 @@ def press_ball(
         return BallContact(depth, center_mm, points_moved)
     dots = gel.motion_mm(state, points, load)
     # Dots sample the gel: what they sum to is the log's, to the last digit.
-    exact = float(shear_sum_mm @ shear_sum_mm) / float(dots.sum(axis=0) @ shear_sum_mm)
+    pulled = shear_sum_mm != 0.0
+    exact = np.divide(shear_sum_mm, dots.sum(axis=0), out=np.ones(2), where=pulled)
     shift_mm = exact * gel.object_motion(state, load).shift_mm
     moved = (center_mm[0] + float(shift_mm[0]), center_mm[1] + float(shift_mm[1]))
     depth = _depth_of_ball(sensor, radius_mm, moved, volume_mm3)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -37,6 +38,28 @@ LEAST_MOVE_MM = 1e-6, 0.1
 up to a sensor's size in m."""
 
 
+class _Touch:
+    """The marker and the force field of an imprint, made when asked for; pickled as arrays."""
+
+    def __init__(
+        self, pad: TactilePad, imprint: Imprint, force_n: FloatArray, shape: tuple[int, int]
+    ) -> None:
+        self._of = pad, imprint, force_n, shape
+
+    def __getstate__(self) -> dict[str, NDArray[np.float64]]:
+        return {"markers_mm": self.markers_mm, "force_field_n": self.force_field_n}
+
+    @cached_property
+    def markers_mm(self) -> NDArray[np.float64]:
+        pad, imprint, *_ = self._of
+        return pad.marker_motion_mm(imprint)
+
+    @cached_property
+    def force_field_n(self) -> NDArray[np.float64]:
+        pad, imprint, force_n, shape = self._of
+        return pad.force_field_n(imprint, force_n, shape)
+
+
 @dataclass(frozen=True, slots=True)
 class Frame:
     """What the sensor shows at one time.
@@ -59,6 +82,12 @@ class Frame:
     status : {"ok", "no_contact", "outside_window"}
         ``outside_window`` where more than a twentieth of what presses on the sensor does so beside
         the window.
+    markers_mm : (M, 2) float64
+        How far each marker is from its place at rest, x and y of the gel; of a gel without
+        markers, points of a grid. Made when it is asked for, as is:
+    force_field_n : (rows, columns, 3) float64
+        Force on each cell of a grid over the window: along x, along y, into the gel. It sums to
+        ``force_n``.
     """
 
     rgb: NDArray[np.uint8]
@@ -70,6 +99,24 @@ class Frame:
     markers_px: NDArray[np.float64] | None
     saturated: bool = field(default=False, kw_only=True)
     status: ContactStatus = field(default="ok", kw_only=True)
+    _touch: _Touch | None = field(default=None, kw_only=True, repr=False, compare=False)
+
+    @property
+    def markers_mm(self) -> NDArray[np.float64]:
+        """How far each marker is from its place at rest, (M, 2)."""
+        return self._fields.markers_mm
+
+    @property
+    def force_field_n(self) -> NDArray[np.float64]:
+        """Force on each cell, (rows, columns, 3): shear x, shear y, normal."""
+        return self._fields.force_field_n
+
+    @property
+    def _fields(self) -> _Touch:
+        if self._touch is None:
+            msg = "this frame has no such field: only one that a Sensor simulates has"
+            raise SensorError(msg)
+        return self._touch
 
 
 class Sensor:
@@ -89,6 +136,8 @@ class Sensor:
         Of the sensor that the table is of, instead of what the description says; 0: a flat gel.
     shadows, markers, noise : bool
         Cast shadows, printed dots, camera noise (drawn from ``seed``).
+    force_field : (rows, columns), optional
+        The cells of a frame's ``force_field_n``; the default is one for each marker.
 
     Raises
     ------
@@ -117,6 +166,7 @@ class Sensor:
         markers: bool = False,
         noise: bool = False,
         seed: int = 0,
+        force_field: tuple[int, int] | None = None,
     ) -> None:
         choice = SensorChoice(
             name=str(name),
@@ -135,6 +185,18 @@ class Sensor:
         self._simulation: EngineContacts | None = None
         self._gel = GelCourse(self.law)
         self._began_s: float | None = None
+        self._before: Imprint | None = None
+        at_rest_mm = self.marker_rest_mm
+        shape = force_field or tuple(len(np.unique(along)) for along in at_rest_mm.T[::-1])
+        if len(shape) != 2 or not all(isinstance(n, (int, np.integer)) and n > 0 for n in shape):
+            msg = f"force_field = {force_field}: give the numbers of its rows and columns"
+            raise SensorError(msg)
+        self._field_shape = int(shape[0]), int(shape[1])
+
+    @property
+    def marker_rest_mm(self) -> NDArray[np.float64]:
+        """Places (M, 2) of the markers at rest, gel frame, mm: see ``Frame.markers_mm``."""
+        return self._pad.marker_rest_mm
 
     def __repr__(self) -> str:
         height, width = self.description.shape_px
@@ -236,10 +298,11 @@ class Sensor:
     def read(self, time_s: float | None = None) -> Frame:
         """The frame at the simulation's present state, from its poses and contact forces.
 
-        Effects with memory (creep, hysteresis, conditioning) go on from frame to frame. The gel is
-        at rest when the sensor is attached; ``reset`` begins a new press, as does a clock that goes
-        back. PyBullet keeps no clock: there the gel is at rest until the first reading, and where
-        such an effect matters and there is more than one step between readings, give ``time_s``.
+        Shear and effects with memory (creep, hysteresis, conditioning) go on from frame to frame.
+        The gel is at rest when the sensor is attached; ``reset`` begins a new press, as does a
+        clock that goes back. PyBullet keeps no clock: there the gel is at rest until the first
+        reading, and where such an effect matters and there is more than one step between readings,
+        give ``time_s``.
 
         Raises ``SensorError`` if the sensor is not attached, or knows of no object.
         """
@@ -260,16 +323,19 @@ class Sensor:
         pose = touch.pose_gel_object
         frame = _contact_frame(now_s, normal_n, shear_n, touch.torsion_n_mm, pose)
         frame = replace(frame, center_mm=touch.center_mm)
-        imprint = self._pad.press(touch.mesh, pose, self._gel.load(frame, at_rest_s))
+        load = self._gel.load(frame, at_rest_s)
+        imprint = self._pad.press(touch.mesh, pose, load, self._before)
         if imprint.is_beside_gel and touch.is_over_gel:
             raise ContactError(beside_gel(touch.mesh, pose, self.description))
         if not touch.is_on_gel(imprint):
             imprint = Imprint(is_beside_gel=normal_n > 0)
+        self._before = imprint
         return self._frame(frame, imprint, touch.share)
 
     def reset(self) -> None:
         """Begin a new press on a gel at rest."""
         self._gel.begin()
+        self._before = None
         self._began_s = self._simulation.clock_s() if self._simulation else None
 
     def _attached(self) -> EngineContacts:
@@ -284,17 +350,18 @@ class Sensor:
         contact_mask = np.zeros(self.description.shape_px, dtype=bool)
         contact_mask[top:bottom, left:right] = imprint.depth_mm > 0
         shown = imprint.share
-        force_n = np.array([*contact.force_shear_n, contact.force_normal_n])
+        force_n = shown * contact.force_n
         return Frame(
             rgb=self._pad.image(imprint, rng=self._rng),
             depth_mm=imprint.depth_map_mm(self.description),
             contact_mask=contact_mask,
-            force_n=shown * force_n,
+            force_n=force_n,
             indentation_mm=imprint.indentation_mm,
             volume_mm3=imprint.volume_mm3,
             markers_px=self._markers_px(imprint),
             saturated=imprint.saturated,
             status=contact_status(share * shown, touches=imprint.indentation_mm > 0),
+            _touch=_Touch(self._pad, imprint, force_n, self._field_shape),
         )
 
     def _markers_px(self, imprint: Imprint) -> NDArray[np.float64] | None:

@@ -14,7 +14,7 @@ from tacgen.collection.recipe import Contact, ObjectEntry, Recipe, load_recipe
 from tacgen.core.errors import RecipeError, TableError
 from tacgen.core.resources import packaged
 from tacgen.sensor.gel_response import gel_loads
-from tacgen.sensor.tactile_pad import Imprint
+from tacgen.sensor.tactile_pad import Imprint, TactilePad
 
 
 def test_a_shipped_contact_law_is_found_from_anywhere(tmp_path, monkeypatch):
@@ -103,6 +103,59 @@ def test_a_grip_at_the_pads_rim_shows_no_other_surface(engine):
         assert beside[pad].indentation_mm[0] == 0.0
         assert beside[pad].force_normal_n[0] == pytest.approx(4.0, rel=0.03)
         assert abs(beside[pad].rgb[0].astype(int) - at_rest).mean() < 3.0  # the camera's noise
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
+def test_what_is_kept_of_the_touch_is_that_of_each_frame(engine, monkeypatch):
+    """It has the frames' force; each frame is pressed from the one before; old fields stay."""
+    pytest.importorskip(engine)
+    options = {"depth": "all", "markers": True, "force_field": [6, 8]}
+    recipe = Recipe.model_validate(
+        {
+            "name": "touch",
+            "objects": ["rubiks_cube"],
+            "grid": {"force_n": 8.0, "x_mm": 0.0, "y_mm": 6.0, "z_mm": 30.0},
+            "frames": {"mode": "sequence", "count": 5},
+            "robot": {"tactile_pads": "both"},
+            "physics": {"engine": engine},
+            "dataset": options,
+        }
+    )
+    given = []
+    real = TactilePad.press
+
+    def press(self, mesh, pose, load, before=None):
+        made = real(self, mesh, pose, load, before)
+        given.append((before, made))
+        return made
+
+    monkeypatch.setattr(TactilePad, "press", press)
+    spec = dataset_spec(recipe, 1)
+    assert spec.layout.find("depth_mm").is_of_frames
+    with GraspPipeline(recipe) as pipeline:
+        sample = pipeline.sample(plan_recipe(recipe)[0])
+    firsts = [k for k, (before, _) in enumerate(given) if before is None]
+    assert len(firsts) == 2  # a gel at rest begins the history of each pad
+    for k, (before, _) in enumerate(given):
+        assert k in firsts or before is given[k - 1][1]
+    height, width = spec.sensor.shape_px
+    for pad in sample.pads.values():
+        assert pad.depth_mm.shape == (5, height, width)
+        assert pad.markers_mm.shape == (5, *spec.marker_rest_mm.shape)
+        assert pad.force_field_n.shape == (5, 6, 8, 3)
+        shown = pad.outside_window == 0
+        force_n = np.column_stack([pad.force_shear_n, pad.force_normal_n])
+        total_n = pad.force_field_n.sum(axis=(1, 2), dtype=float)
+        off_n = np.linalg.norm(total_n - force_n, axis=1)
+        # A frame that is not flagged shows 95 % of the force or more, and the field has that part.
+        assert (off_n[shown] <= 0.05 * np.linalg.norm(force_n, axis=1)[shown] + 1e-6).all()
+        touched = pad.no_contact == 0
+        assert touched[-1]
+        np.testing.assert_array_equal(pad.depth_mm.any(axis=(1, 2)), touched)
+        # The object's weight, which the pads carry after the lift, drags the gel along.
+        down_n, moved_mm = pad.force_shear_n[-1], pad.markers_mm[-1].sum(axis=0)
+        assert down_n @ moved_mm > 0.9 * np.linalg.norm(down_n) * np.linalg.norm(moved_mm)
 
 
 def validity_of(pad):

@@ -153,6 +153,44 @@ def test_the_resolved_recipe_is_itself_a_recipe(folder):
     assert Recipe.model_validate(recipe.resolved()) == recipe
 
 
+@pytest.mark.parametrize(("before", "now"), [("true", "grasp"), ("false", "none")])
+def test_depth_of_recipes_of_before_is_what_it_was(folder, before, now):
+    old, new = (
+        recipe_of(folder, f"objects: [can]\ndataset: {{depth: {how}}}\n") for how in (before, now)
+    )
+    assert old == new
+    assert old.dataset.depth == now
+    # What earlier versions wrote, so that the hash, and with it the dataset, is the same.
+    options = old.resolved()["dataset"]
+    assert options == {"shard_size": 25, "depth": before == "true", "scene_pictures": True}
+
+
+def test_what_is_kept_of_the_touch_is_part_of_the_recipe(folder):
+    plain = recipe_of(folder, "objects: [can]\n")
+    text = "objects: [can]\ndataset: {depth: all, markers: true, force_field: [9, 12]}\n"
+    recipe = recipe_of(folder, text)
+    options = recipe.resolved()["dataset"]
+    assert options["depth"] == "all"
+    assert (options["markers"], options["force_field"]) == (True, [9, 12])
+    assert Recipe.model_validate(recipe.resolved()) == recipe
+    assert recipe.sha256() != plain.sha256()
+
+
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        ("depth: some", "none"),
+        ("depth: 1", "none"),
+        ("force_field: [9]", "force_field"),
+        ("force_field: [0, 3]", "force_field"),
+        ("force_field: [9, 5000]", "256"),
+    ],
+)
+def test_what_cannot_be_kept_is_refused_with_its_line(folder, option, words):
+    with pytest.raises(RecipeError, match=rf"r\.yaml:4.*{words}"):
+        recipe_of(folder, f"objects: [can]\ndataset: {{{option}}}\n")
+
+
 def test_a_recipe_that_is_written_elsewhere_names_the_same_files(folder):
     for name in ("laws/soft.yaml", "tables/t.npz", "grippers/wide.yaml"):
         (folder / "project" / name).parent.mkdir(parents=True)

@@ -16,6 +16,14 @@ SENSOR = Sensor("gelsight", height_px=24, width_px=32, mm_per_px=0.5, gel_depth_
 RECIPE = {"name": "toy", "seed": 3, "physics": {"time_step_s": 0.004}, "objects": ["can"]}
 
 
+TOUCH = {
+    "depth_of_frames": True,
+    "marker_rest_mm": np.array([[x, y] for y in (-1.0, 1.0) for x in (-2.0, 0.0, 2.0)]),
+    "force_field": (3, 4),
+}
+"""What a spec keeps of the touch, all of it."""
+
+
 def make_spec(**changes: object) -> DatasetSpec:
     height, width = SENSOR.shape_px
     recipe = changes.get("recipe", RECIPE)
@@ -50,7 +58,7 @@ def make_sample(index: int, spec: DatasetSpec) -> GraspSample:
             force_normal_n=force_n,
             force_shear_n=np.stack([0.1 * force_n, -0.2 * force_n], axis=1),
             indentation_mm=0.05 * force_n,
-            depth_mm=np.full((height, width), 0.25, np.float16) if spec.depth else None,
+            **_touch(spec, force_n, rng),
         )
         for pad in spec.pads
     }
@@ -72,6 +80,26 @@ def make_sample(index: int, spec: DatasetSpec) -> GraspSample:
         if spec.picture_px
         else None,
     )
+
+
+def _touch(spec: DatasetSpec, force_n: np.ndarray, rng: np.random.Generator) -> dict:
+    """What the spec keeps of the touch; of frame k all is k times that of frame 1."""
+    grows = np.arange(len(force_n))
+    found = {}
+    if spec.depth or spec.depth_of_frames:
+        depth_mm = np.full(spec.sensor.shape_px, 0.25, np.float16)
+        found["depth_mm"] = np.stack([k * depth_mm for k in grows])
+        if not spec.depth_of_frames:
+            found["depth_mm"] = depth_mm
+    if spec.marker_rest_mm is not None:
+        moved_mm = rng.normal(0, 0.1, spec.marker_rest_mm.shape)
+        found["markers_mm"] = np.stack([k * moved_mm for k in grows]).astype(np.float32)
+    if spec.force_field is not None:
+        share = rng.dirichlet(np.ones(np.prod(spec.force_field))).reshape(spec.force_field)
+        force = np.stack([0.1 * force_n, -0.2 * force_n, force_n], axis=1)
+        field_n = share[None, :, :, None] * force[:, None, None]
+        found["force_field_n"] = field_n.astype(np.float32)
+    return found
 
 
 def collect_toy(

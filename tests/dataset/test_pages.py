@@ -14,7 +14,7 @@ from tacgen.dataset.gallery import shown_grasps, thumbnails, write_gallery
 from tacgen.dataset.inputs import Inputs
 from tacgen.dataset.summary import write_card
 
-from .conftest import collect_toy, make_sample, make_spec
+from .conftest import TOUCH, collect_toy, make_sample, make_spec
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
@@ -70,6 +70,14 @@ def test_thumbnails_made_as_grasps_are_made_are_those_of_the_shards(tmp_path):
     assert write_gallery(root, made).read_text() != page
 
 
+def test_a_gallery_draws_the_markers_motion_where_there_is_some(toy, tmp_path):
+    assert 'name="motion"' not in write_gallery(toy.root).read_text()
+    spec = make_spec(pads=("left", "right"), **TOUCH)
+    page = write_gallery(collect_toy(tmp_path, spec).root).read_text()
+    assert re.search(r'name="motion"> motion of the markers, \d+×', page)
+    assert page.count('<svg class="motion"') == 2 * 8  # of both pads of the executed grasps
+
+
 def test_names_in_a_gallery_are_shown_not_run(tmp_path):
     recipe = {"name": "toy", "description": "<script>alert(1)</script>"}
     collect_toy(tmp_path, make_spec(recipe=recipe))
@@ -88,6 +96,7 @@ def test_names_in_a_gallery_are_shown_not_run(tmp_path):
         ("low=8&high=10", {3, 4, 5}),
         ("outcome=rotational_slip", {3}),
         ("split=test", {3, 7}),
+        ("split=test&motion=1", {3, 7}),
     ],
 )
 def test_filters_of_the_gallery(toy, tmp_path, state, shown):

@@ -288,9 +288,9 @@ def _make_real_image(folder: Path) -> Path:
 
 def _dataset(name: str) -> Callable[[Path], Path]:
     def make(folder: Path) -> Path:
-        from tests.dataset.conftest import collect_toy, make_spec
+        from tests.dataset.conftest import TOUCH, collect_toy, make_spec
 
-        collect_toy(folder / "data", make_spec(n_grasps=4, depth=True)).merge()
+        collect_toy(folder / "data", make_spec(n_grasps=4, **TOUCH)).merge()
         return folder / "data" / name
 
     return make

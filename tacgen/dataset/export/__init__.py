@@ -60,19 +60,21 @@ def export_dataset(
         grasps, not_executed = _chosen(dataset, split)
         content = writer(dataset, grasps, folder)
         if images and format_name != "real-grasps":
-            content += _depth_note(dataset)
+            content += _touch_note(dataset)
     counts = {"grasps": len(grasps), "not_executed": not_executed}
     return {"folder": str(out), "format": format_name, **counts, "content": content}
 
 
-def _depth_note(dataset: Dataset) -> str:
-    """What there is of depth, for the message."""
-    depth = next((field for field in dataset.layout.fields if field.name == "depth_mm"), None)
+def _touch_note(dataset: Dataset) -> str:
+    """What there is of the touch beside the images, for the message."""
+    depth = dataset.layout.find("depth_mm")
+    said = "; depth of every frame"
     if depth is None:
-        return "; no depth, which the recipe did not keep"
-    if "T" in depth.axes:
-        return "; depth of every frame"
-    return "; depth of the moment of grasp alone, as the dataset has it"
+        said = "; no depth, which the recipe did not keep"
+    elif not depth.is_of_frames:
+        said = "; depth of the moment of grasp alone, as the dataset has it"
+    names = {"markers_mm": "the markers' motion", "force_field_n": "the force field"}
+    return said + "".join(f"; {names[name]}" for name in dataset.touch_names if name in names)
 
 
 def _chosen(dataset: Dataset, split: str | None) -> tuple[pd.DataFrame, int]:

@@ -9,29 +9,35 @@ from tacgen.dataset.export import real_grasps
 from tacgen.dataset.export.real_grasps import grasp_id, pad_suffix
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import frame_columns, frame_flags
+from tacgen.dataset.schema import REST
 
 
 def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
     """Write PNG images and ``grasps.csv``, with depth and forces of every pad.
 
     ``images/<grasp_id>/<k>.png`` are the first pad's frames, ``contact/<grasp_id>.csv`` the forces
-    of its frames, ``depth/<grasp_id>.npy`` (H, W), or (T, H, W) where the dataset has the depth of
-    every frame, float32, mm, its indentation where the dataset has it. Those of another pad stand
-    in ``images_<pad>``, ``contact_<pad>`` and ``depth_<pad>``.
+    of its frames. Where the dataset has them, ``depth/<grasp_id>.npy`` is its indentation in mm,
+    (T, H, W), or (H, W) at the moment of grasp, ``markers/<grasp_id>.npy`` (T, M, 2) the motion of
+    the markers from ``markers/rest_mm.npy`` (M, 2), ``force_field/<grasp_id>.npy`` (T, rows,
+    columns, 3) the force in N on each cell; all float32. Those of another pad stand in
+    ``images_<pad>``, ``contact_<pad>`` and so on.
     """
     real_grasps.write(dataset, grasps, folder)
     for index in map(int, grasps["index"]):
         sample, name = dataset.read(index), grasp_id(index)
         for pad_name, pad in sample.pads.items():
             suffix = pad_suffix(dataset, pad_name)
-            contact, depth = folder / f"contact{suffix}", folder / f"depth{suffix}"
+            contact = folder / f"contact{suffix}"
             contact.mkdir(exist_ok=True)
             times = {"time_s": dataset.times_s(index)}
             flags = {flag: held.astype(int) for flag, held in frame_flags(pad).items()}
             forces = pd.DataFrame(times | frame_columns(pad) | flags)
             forces.to_csv(contact / f"{name}.csv", index=False)
-            if pad.depth_mm is not None:
-                depth.mkdir(exist_ok=True)
-                np.save(depth / f"{name}.npy", pad.depth_mm.astype(np.float32))
+            for field in filter(lambda one: one.image, dataset.layout.of_pads):
+                place = folder / f"{field.name.rpartition('_')[0]}{suffix}"
+                place.mkdir(exist_ok=True)
+                np.save(place / f"{name}.npy", np.asarray(field.value(pad), np.float32))
+                if field.rest:
+                    np.save(place / f"{REST}.npy", dataset.marker_rest_mm(pad_name))
     pads = "" if len(dataset.pads) == 1 else f", {' and '.join(dataset.pads)} pad apart"
     return f"{len(grasps)} grasps as PNG and CSV{pads}"

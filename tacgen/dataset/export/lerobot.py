@@ -1,6 +1,9 @@
 """Export to the LeRobot dataset format v3.0, images as PNG inside the Parquet files.
 
 Each executed grasp becomes an episode of T frames; the episodes of the train split come first.
+Markers and force field are ``observation.markers_mm`` (M, 2), whose places at rest stand in the
+feature's ``info``, and ``observation.force_field_n`` (rows, columns, 3); of two pads
+``observation.<pad>.…``.
 Source: the format of huggingface/lerobot at ``codebase_version`` v3.0 (``meta/info.json``,
 ``meta/stats.json``, ``meta/tasks.parquet``, ``meta/episodes``, ``data``).
 """
@@ -20,7 +23,7 @@ from tacgen.core.images import encode_png
 from tacgen.core.optional_dependencies import require_extra
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample, frame_columns, frame_flags
-from tacgen.dataset.schema import ACTION, FLAG_FIELDS, SPLITS, STATE_FIELDS
+from tacgen.dataset.schema import ACTION, FLAG_FIELDS, REST, SPLITS, STATE_FIELDS
 
 require_extra("parquet", "--format lerobot needs", DatasetError)
 import pyarrow as pa  # noqa: E402
@@ -79,6 +82,12 @@ def _prefixes(dataset: Dataset) -> dict[str, str]:
     return {pad: "" if len(dataset.pads) == 1 else f"{pad}." for pad in dataset.pads}
 
 
+def _touch_names(dataset: Dataset, pad: str) -> dict[str, str]:
+    """The features of what the dataset keeps of the touch in every frame, but the depth."""
+    fields = (f for f in dataset.layout.of_pads if f.image and f.name != "depth_mm")
+    return {field.name: f"observation.{_prefixes(dataset)[pad]}{field.name}" for field in fields}
+
+
 def _features(dataset: Dataset) -> dict[str, dict[str, Any]]:
     prefixes = list(_prefixes(dataset).values())
     vectors = {
@@ -91,6 +100,16 @@ def _features(dataset: Dataset) -> dict[str, dict[str, Any]]:
     found: dict[str, dict[str, Any]] = {_image_name(dataset, pad): image for pad in dataset.pads}
     for name, axes in vectors.items():
         found[name] = {"dtype": "float32", "shape": [len(axes)], "names": axes}
+    for pad in dataset.pads:
+        for name, feature in _touch_names(dataset, pad).items():
+            is_markers = name == "markers_mm"
+            found[feature] = {
+                "dtype": "float32",
+                "shape": list(dataset.touch(int(dataset.indices[0]), name, pad, 0).shape),
+                "names": ["marker", "axis"] if is_markers else ["row", "column", "axis"],
+            }
+            if is_markers:
+                found[feature]["info"] = {REST: dataset.marker_rest_mm(pad).tolist()}
     flags = [f.name for f in FLAG_FIELDS if f in dataset.layout.fields]
     named = {prefix + flag: "bool" for prefix in prefixes for flag in flags}
     for name, dtype in (_SCALARS | named).items():
@@ -103,15 +122,20 @@ def _schema(features: Features) -> pa.Schema:
     fields: list[pa.Field] = []
     described: dict[str, dict[str, Any]] = {}
     for name, feature in features.items():
-        length, dtype = feature["shape"][0], feature["dtype"]
+        shape, dtype = feature["shape"], feature["dtype"]
         if dtype == "image":
             kind: pa.DataType = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
             described[name] = {"_type": "Image"}
+        elif len(shape) > 1:
+            kind = pa.from_numpy_dtype(dtype)
+            for _ in shape:
+                kind = pa.list_(kind)
+            described[name] = {"_type": f"Array{len(shape)}D", "shape": shape, "dtype": dtype}
         else:
             kind, described[name] = pa.from_numpy_dtype(dtype), {"dtype": dtype, "_type": "Value"}
-            if length > 1:
-                kind, value = pa.list_(kind, length), described[name]
-                described[name] = {"feature": value, "length": length, "_type": "Sequence"}
+            if shape[0] > 1:
+                kind, value = pa.list_(kind, shape[0]), described[name]
+                described[name] = {"feature": value, "length": shape[0], "_type": "Sequence"}
         fields.append(pa.field(name, kind))
     note = json.dumps({"info": {"features": described}})
     return pa.schema(fields, metadata={"huggingface": note})
@@ -120,14 +144,17 @@ def _schema(features: Features) -> pa.Schema:
 def _part(values: NDArray[Any]) -> NDArray[Any]:
     """What the statistics need of (T, …): rows (T, n), or of images counts of levels (C, 256)."""
     if values.dtype != np.uint8:
-        return np.asarray(values, np.float64).reshape(len(values), -1)
+        kept = np.float32 if values.ndim > 2 else np.float64  # of fields all are kept at once
+        return np.asarray(values, kept).reshape(len(values), -1)
     channels = np.moveaxis(values, -1, 0).reshape(values.shape[-1], -1)
     return np.stack([np.bincount(channel, minlength=256) for channel in channels])
 
 
-def _stats(parts: Sequence[NDArray[Any]], n_frames: int, *, image: bool) -> dict[str, Any]:
-    """Statistics (n,) of vectors; of images in [0, 1] (C, 1, 1), exact, from counts of levels."""
-    if image:
+def _stats(
+    parts: Sequence[NDArray[Any]], n_frames: int, feature: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Statistics of a feature's shape; of images in [0, 1] (C, 1, 1), exact, from counts."""
+    if feature["dtype"] == "image":
         histogram = np.sum(parts, axis=0)
         share = histogram / histogram.sum(axis=1, keepdims=True)
         mean, seen, below = share @ _GREY, histogram > 0, np.cumsum(share, axis=1)
@@ -144,6 +171,7 @@ def _stats(parts: Sequence[NDArray[Any]], n_frames: int, *, image: bool) -> dict
         rows = np.concatenate(parts)
         found = {name: getattr(rows, name)(axis=0) for name in ("min", "max", "mean", "std")}
         found |= {name: np.quantile(rows, level, axis=0) for name, level in QUANTILES.items()}
+        found = {name: values.reshape(feature["shape"]) for name, values in found.items()}
     return {name: values.tolist() for name, values in found.items()} | {"count": [n_frames]}
 
 
@@ -195,7 +223,7 @@ class _Export:
         for key, array in values.items():
             part = _part(array)
             self.parts.setdefault(key, []).append(part)
-            found = _stats([part], n_frames, image=array.dtype == np.uint8)
+            found = _stats([part], n_frames, self.features[key])
             stats |= {f"stats/{key}/{name}": value for name, value in found.items()}
         for pad, frames in sample.pads.items():
             if frames.depth_mm is not None:
@@ -234,8 +262,14 @@ class _Export:
             for flag, held in frame_flags(pad).items()
         }
         images = {_image_name(self.dataset, name): pad.rgb for name, pad in pads}
+        touch = {
+            feature: getattr(pad, field)
+            for name, pad in pads
+            for field, feature in _touch_names(self.dataset, name).items()
+        }
         return (
             images
+            | touch
             | flags
             | {
                 "observation.state": np.concatenate(contact, axis=1),
@@ -291,8 +325,7 @@ class _Export:
             "features": self.features,
         }
         stats = {
-            key: _stats(parts, n_frames, image=self.features[key]["dtype"] == "image")
-            for key, parts in self.parts.items()
+            key: _stats(parts, n_frames, self.features[key]) for key, parts in self.parts.items()
         }
         meta = self.root / "meta"
         episodes = meta / "episodes/chunk-000/file-000.parquet"

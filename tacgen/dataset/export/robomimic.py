@@ -24,7 +24,7 @@ from tacgen.core.disk import DiskFile
 from tacgen.core.records import LABEL_SUCCESS
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample
-from tacgen.dataset.schema import ACTION, FRAME_FIELDS
+from tacgen.dataset.schema import ACTION, Layout
 
 FILE = "grasps.hdf5"
 VALID_FRACTION = 0.1  # of the training grasps of each outcome, rounded up; never all of them
@@ -44,9 +44,13 @@ def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
         data = file.create_group("data")
         names = np.array([f"demo_{k}" for k in range(len(grasps))], dtype="S")
         for name, index, action in zip(names, grasps["index"], actions, strict=True):
-            _write_demo(data.create_group(name.decode()), dataset.read(int(index)), action)
+            demo, sample = data.create_group(name.decode()), dataset.read(int(index))
+            _write_demo(demo, sample, dataset.layout, action)
             disk.raise_failure()
         data.attrs["total"] = len(grasps) * dataset.n_frames
+        for pad in dataset.pads:
+            if "markers_mm" in dataset.touch_names:
+                data.attrs[f"{pad}_marker_rest_mm"] = dataset.marker_rest_mm(pad)
         data.attrs.update({"action_names": list(ACTION), "action_low": low, "action_high": high})
         # robomimic builds its environment from these; type 2 is its general (gym) one.
         about = {"env_name": "tacgen", "type": 2, "env_kwargs": {"sensor": dataset.sensor}}
@@ -75,7 +79,7 @@ def _scaled(values: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray
     return np.asarray(np.clip(scaled, -1.0, 1.0))
 
 
-def _write_demo(demo: h5py.Group, sample: GraspSample, action: FloatArray) -> None:
+def _write_demo(demo: h5py.Group, sample: GraspSample, layout: Layout, action: FloatArray) -> None:
     object_pose = np.asarray(sample.object_pose)
     count = len(object_pose)
     rewards, dones = np.zeros(count), np.zeros(count, np.int64)
@@ -89,10 +93,10 @@ def _write_demo(demo: h5py.Group, sample: GraspSample, action: FloatArray) -> No
     for pad, frames in sample.pads.items():
         options = {"chunks": (1, *frames.rgb.shape[1:]), "compression": "gzip"}
         observed.create_dataset(f"{pad}_rgb", data=frames.rgb, **options)
-        for field in FRAME_FIELDS:
-            if (values := field.value(frames)) is not None:
-                observed[f"{pad}_{field.name}"] = values
-        if frames.depth_mm is not None:
-            # Of the moment of grasp it is not one a frame, and stands beside the observations.
-            is_of_frames = frames.depth_mm.ndim == 3
-            demo[f"obs/{pad}_depth_mm" if is_of_frames else f"depth_mm/{pad}"] = frames.depth_mm
+        for field in layout.of_pads:
+            if (values := field.value(frames)) is None:
+                continue
+            # What is of the moment of grasp is not one a frame, and stands beside the observations.
+            place = f"obs/{pad}_{field.name}" if field.is_of_frames else f"{field.name}/{pad}"
+            how = {"chunks": (1, *values.shape[1:]), "compression": "gzip"} if field.image else {}
+            demo.create_dataset(place, data=values, **(how if field.is_of_frames else {}))

@@ -18,7 +18,6 @@ from tacgen.core.images import encode_png
 from tacgen.dataset.export.real_grasps import grasp_id
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample
-from tacgen.dataset.schema import PAD_FIELDS
 
 GRASPS_PER_TAR = 1000
 """At 4 images of 100 kB a grasp about 400 MB, WebDataset's recommended order of size."""
@@ -32,7 +31,7 @@ def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
         with tarfile.open(folder / f"grasps-{count:06d}.tar", "w") as archive:
             for row in grasps.iloc[start : start + GRASPS_PER_TAR].to_dict("records"):
                 sample = dataset.read(int(row["index"]))
-                for name, content in _files(sample, {key: row[key] for key in COLUMNS}):
+                for name, content in _files(dataset, sample, {key: row[key] for key in COLUMNS}):
                     entry = tarfile.TarInfo(f"{grasp_id(sample.config.index)}.{name}")
                     entry.size = len(content)
                     archive.addfile(entry, io.BytesIO(content))
@@ -41,7 +40,9 @@ def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
     return f"{len(grasps)} grasps in {files} of WebDataset's format"
 
 
-def _files(sample: GraspSample, row: dict[str, Any]) -> Iterator[tuple[str, bytes]]:
+def _files(
+    dataset: Dataset, sample: GraspSample, row: dict[str, Any]
+) -> Iterator[tuple[str, bytes]]:
     moment = None if np.isnan(sample.grasp_time_s) else sample.grasp_time_s
     about = {"grasp_frame": sample.grasp_frame, "grasp_time_s": moment, **row}
     yield "json", json.dumps(about, default=lambda value: value.item()).encode()
@@ -49,9 +50,11 @@ def _files(sample: GraspSample, row: dict[str, Any]) -> Iterator[tuple[str, byte
     for pad, frames in sample.pads.items():
         for k, rgb in enumerate(frames.rgb):
             yield f"{pad}.{k}.png", encode_png(rgb)
-        for field in PAD_FIELDS:
-            if not field.noisy and (values := field.value(frames)) is not None:
+        for field in dataset.layout.of_pads:
+            if (values := field.value(frames)) is not None:
                 yield f"{pad}.{field.name}.npy", _npy(values)
+            if field.rest:
+                yield f"{pad}.{field.rest}.npy", _npy(dataset.marker_rest_mm(pad))
 
 
 def _npy(array: np.ndarray[Any, np.dtype[Any]]) -> bytes:

@@ -110,7 +110,7 @@
     for (const key of ["object", "split"]) if (chosen[key]) state.set(key, chosen[key]);
     if (chosen.low > 0) state.set("low", FORCES[chosen.low]);
     if (chosen.high < FORCES.length - 1) state.set("high", FORCES[chosen.high]);
-    if (form.difference.checked) state.set("difference", "1");
+    for (const key of ["difference", "motion"]) if (form[key]?.checked) state.set(key, "1");
     const hash = state.toString();
     if (hash !== location.hash.slice(1)) history.replaceState(null, "", hash ? `#${hash}` : location.pathname + location.search);
   }
@@ -127,7 +127,7 @@
       : FORCES.reduce((best, value, place) => Math.abs(value - force) < Math.abs(FORCES[best] - force) ? place : best, 0);
     form.low.value = nearest(state.get("low"), 0);
     form.high.value = nearest(state.get("high"), FORCES.length - 1);
-    form.difference.checked = state.has("difference");
+    for (const key of ["difference", "motion"]) if (form[key]) form[key].checked = state.has(key);
   }
 
   function apply() {
@@ -142,6 +142,7 @@
     document.getElementById("count").textContent = `${shown} of ${cards.length} shown`;
     document.getElementById("none").hidden = shown > 0;
     document.body.classList.toggle("difference", form.difference.checked);
+    document.body.classList.toggle("moving", !!form.motion?.checked);
     drawByForce(points);
     drawContactForce(points);
     remember(chosen);

@@ -1,0 +1,234 @@
+"""Networks that see marker motion and force field beside the image."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from safetensors import safe_open  # noqa: E402
+from safetensors.torch import save_file  # noqa: E402
+from typer.testing import CliRunner  # noqa: E402
+
+import tacgen  # noqa: E402
+from tacgen.cli import app  # noqa: E402
+from tacgen.core.errors import DatasetError, LearningError, RecipeError  # noqa: E402
+from tacgen.dataset import Dataset  # noqa: E402
+from tacgen.dataset.export import export_dataset  # noqa: E402
+from tacgen.learning.evaluate import evaluate  # noqa: E402
+from tacgen.learning.grasps import SimulatedGrasps  # noqa: E402
+from tacgen.learning.inputs import (  # noqa: E402
+    InputSpec,
+    TouchInput,
+    read_touch,
+    touch_to_network,
+    with_touch_scale,
+)
+from tacgen.learning.networks import TouchedImages, build_network  # noqa: E402
+from tacgen.learning.train import train  # noqa: E402
+from tacgen.learning.training_recipe import TrainRecipe, load_train_recipe  # noqa: E402
+
+from .conftest import REFERENCE, SENSOR, collect, make_sample, make_spec, recipe_of  # noqa: E402
+
+REST_MM = np.array([[x, y] for y in (-2.0, 2.0) for x in (-3.0, 0.0, 3.0)])
+SHAPE = (3, 4)
+TOUCH = {"marker_rest_mm": REST_MM, "force_field": SHAPE}
+BOTH = ("image", "markers", "force_field")
+
+
+def only_by_touch(index, spec):
+    """A grasp whose images tell nothing: markers and force field hold the outcome."""
+    sample = make_sample(index, spec)
+    if not sample.pads:
+        return sample
+    rng = np.random.default_rng(500 + index)
+    (pad,) = sample.pads.values()
+    n_frames, sign = len(pad.rgb), 2 * sample.label - 1
+    images = REFERENCE + rng.integers(-2, 3, (n_frames, *SENSOR.shape_px, 3))
+    moved_mm = rng.normal([0.1 * sign, 0.0], 0.02, (n_frames, len(REST_MM), 2))
+    field_n = np.abs(rng.normal(0.5, 0.05, (n_frames, *SHAPE, 3)))
+    field_n[..., 0] *= sign
+    touched = replace(pad, rgb=images.astype(np.uint8), markers_mm=moved_mm, force_field_n=field_n)
+    return replace(sample, pads=dict.fromkeys(sample.pads, touched))
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    spec = make_spec(**TOUCH)
+    return collect(tmp_path_factory.mktemp("touch") / "data", spec, only_by_touch)
+
+
+def spec_of(*names, kind="single", n_frames=1):
+    shapes = {"markers": (6, 2), "force_field": (*SHAPE, 3)}
+    touch = tuple(TouchInput(name, shapes[name]) for name in names)
+    return InputSpec(kind, (32, 40), n_frames, "raw", SENSOR.shape_px, touch=touch)
+
+
+def test_scales_make_each_component_one_in_the_mean_square(data):
+    source = SimulatedGrasps(data)
+    spec = spec_of("markers", "force_field")
+    rows = range(len(source.table))
+    found = [read_touch(source, row, spec) for row in rows]
+    spec = with_touch_scale(spec, found)
+    inputs = np.concatenate([touch_to_network(one, spec) for one in found])
+    assert inputs.shape == (len(source.table), 12 + 36)
+    for part, size in ((inputs[:, :12], 2), (inputs[:, 12:], 3)):
+        squares = (part.reshape(-1, size) ** 2).mean(axis=0)
+        np.testing.assert_allclose(squares, 1.0, rtol=1e-4)
+    moment = int(source.table.grasp_frame[0])
+    stored = source.dataset.touch(int(source.table.ids[0]), "markers_mm", None, moment)
+    np.testing.assert_allclose(inputs[0, :12], (stored / spec.touch[0].scale).ravel(), rtol=1e-5)
+
+
+def test_what_never_changes_is_not_divided_by_nothing():
+    spec = with_touch_scale(spec_of("markers"), [[np.zeros((1, 6, 2), np.float32)]])
+    assert spec.touch[0].scale == (1.0, 1.0)
+
+
+@pytest.mark.parametrize("kind", ["single", "sequence"])
+def test_the_touch_of_one_grasp_changes_its_logits_alone(kind, small_backbone):
+    torch.manual_seed(0)
+    frames = 1 if kind == "single" else 3
+    network = build_network(kind, touch=(12, 36)).eval()
+    images, touch = torch.randn(2, frames, 3, 32, 40), torch.randn(2, frames, 48)
+    with torch.inference_mode():
+        before = network(TouchedImages(images, touch))
+        touch[1, -1, 40] += 5.0  # of the second channel
+        after = network(TouchedImages(images, touch))
+    assert before.shape == (2, 2)
+    torch.testing.assert_close(after[0], before[0])
+    assert not torch.allclose(after[1], before[1])
+
+
+@pytest.mark.parametrize("channels", [["markers"], ["image", "image"], [], ["image", "sound"]])
+def test_channels_that_are_none_are_refused(channels, tmp_path):
+    path = tmp_path / "t.yaml"
+    path.write_text(f"name: t\nkind: train\ninput: {{channels: {json.dumps(channels)}}}\n")
+    with pytest.raises(RecipeError, match=r"t\.yaml:3.*channels"):
+        load_train_recipe(path)
+
+
+def test_a_training_recipe_of_images_is_hashed_as_before():
+    plain = recipe_of()
+    assert "channels" not in plain.resolved()["input"]
+    assert recipe_of(input={"channels": ["image"]}).sha256() == plain.sha256()
+    both = recipe_of(input={"channels": ["markers", "image"]})
+    assert both.resolved()["input"]["channels"] == ["image", "markers"]
+    assert TrainRecipe.model_validate(both.resolved()) == both
+
+
+@pytest.fixture(scope="module")
+def run(data, tmp_path_factory, small_backbone):
+    out = tmp_path_factory.mktemp("run") / "run"
+    recipe = recipe_of(input={"channels": list(BOTH)}, training={"epochs": 12})
+    train(recipe, data, out)
+    return out
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("small_backbone")
+def test_it_learns_what_the_images_do_not_tell(run, data):
+    assert evaluate(run, data=data)["accuracy"] == 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("small_backbone")
+def test_without_it_there_is_nothing_to_learn(data, tmp_path):
+    train(recipe_of(training={"epochs": 4}), data, tmp_path / "run")
+    assert evaluate(tmp_path / "run", data=data)["accuracy"] < 0.95
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("small_backbone")
+def test_the_predictor_takes_it_and_says_what_is_missing(run, data):
+    dataset = Dataset(data)
+    columns = dataset.columns()
+    rows = np.flatnonzero((columns["split"] == "test") & (columns["label"] >= 0))
+    index, moment = columns["index"][rows], columns["grasp_frame"][rows]
+    pairs = list(zip(map(int, index), map(int, moment), strict=True))
+    images = [dataset.rgb(i, None, k) for i, k in pairs]
+    touch = {
+        name: [dataset.touch(i, name, None, k) for i, k in pairs]
+        for name in ("markers_mm", "force_field_n")
+    }
+    predictor = tacgen.Predictor(run)
+    found = predictor.predict(images, touch)
+    assert ((found >= 0.5) == (columns["label"][rows] == 1)).all()
+    with pytest.raises(LearningError, match="also sees markers_mm.*give touch="):
+        predictor.predict(images)
+    touch["markers_mm"][0] = touch["markers_mm"][0][:3]
+    with pytest.raises(LearningError, match=r"markers_mm of a grasp is \(1, 3, 2\)"):
+        predictor.predict(images, touch)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("small_backbone")
+def test_data_without_it_or_of_another_shape_is_refused(run, toy, tmp_path):
+    with pytest.raises(DatasetError, match=r"has no markers_mm; collect it with"):
+        evaluate(run, data=toy)
+    with pytest.raises(DatasetError, match=r"has no force_field_n; collect it with"):
+        train(recipe_of(input={"channels": ["image", "force_field"]}), toy, tmp_path / "run")
+    spec = make_spec(**(TOUCH | {"force_field": (2, 2)}))
+
+    def coarser(index, spec):
+        sample = only_by_touch(index, spec)
+        pads = {
+            name: replace(pad, force_field_n=pad.force_field_n[:, :2, :2])
+            for name, pad in sample.pads.items()
+        }
+        return replace(sample, pads=pads)
+
+    other = collect(tmp_path / "other", spec, coarser)
+    with pytest.raises(LearningError, match="force_field_n is of 2×2×3 a frame.*3×4×3"):
+        evaluate(run, data=other)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("small_backbone")
+def test_a_folder_of_pictures_and_the_command_say_what_they_lack(run, data, tmp_path):
+    export_dataset(data, tmp_path / "real", "real-grasps", split="test")
+    with pytest.raises(LearningError, match="holds images alone, no markers_mm"):
+        evaluate(run, real=tmp_path / "real")
+    image = next((tmp_path / "real/images").glob("*/0.png"))
+    result = CliRunner().invoke(app, ["predict", str(run), str(image)])
+    assert isinstance(result.exception, LearningError)
+    assert "also sees markers_mm" in str(result.exception)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("small_backbone")
+def test_sequences_that_are_read_when_needed_learn_it_too(data, tmp_path):
+    recipe = recipe_of(
+        "sequence",
+        input={"channels": list(BOTH), "until": "outcome", "cache_mb": 0},
+        training={"epochs": 12},
+    )
+    train(recipe, data, tmp_path / "run")
+    assert evaluate(tmp_path / "run", data=data)["accuracy"] > 0.9
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("small_backbone")
+def test_controls_see_no_touch(run, data):
+    found = evaluate(run, data=data, controls=True)["controls"]
+    assert found["constant images"]["accuracy"] < 0.95
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("small_backbone")
+def test_a_run_of_before_there_were_channels_still_predicts(toy, tmp_path):
+    run = tmp_path / "run"
+    train(recipe_of(training={"epochs": 1}), toy, run)
+    wanted = evaluate(run, data=toy)
+    path = run / "models/pooled/model.safetensors"
+    with safe_open(path, framework="pt") as file:
+        card = json.loads(file.metadata()["tacgen_model"])
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    assert not any("branches" in name for name in tensors)
+    assert card["input"].pop("touch") == []  # which earlier versions did not write
+    save_file(tensors, path, metadata={"tacgen_model": json.dumps(card)})
+    found = evaluate(run, data=toy)
+    assert (found["auroc"], found["accuracy"]) == (wanted["auroc"], wanted["accuracy"])
+    assert "channels" not in (run / "run.json").read_text()
