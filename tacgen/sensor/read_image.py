@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -48,6 +48,10 @@ Picture: TypeAlias = NDArray[np.uint8] | str | Path
 """An image (H, W, 3), RGB uint8, or the path of its file."""
 
 
+def _no_markers() -> NDArray[np.float64]:
+    return np.zeros((0, 2))
+
+
 @dataclass(frozen=True, slots=True)
 class Reading(Frame):
     """What a picture says of the contact: a frame, with standard errors.
@@ -55,7 +59,7 @@ class Reading(Frame):
     ``markers_mm`` (M, 2) is how far each printed dot is from ``marker_rest_mm`` (M, 2), its place
     at rest in the gel frame, in the order of the sensor's grid where all of its dots are found;
     ``markers_lost`` of them were not seen and move as their neighbours. Without printed dots they
-    are None, and ``shear_sum_mm`` (2,), the sum of their motion, and the shear forces with their
+    are (0, 2), and ``shear_sum_mm`` (2,), the sum of their motion, and the shear forces with their
     errors NaN. ``message`` is what the user should know (no contact, walls too steep).
     ``steep_share`` is the share of the contact that is at the steepest slope of the table; where
     ``lower_bound``, depth, volume and force are at least what stands here, and their errors do not
@@ -68,8 +72,8 @@ class Reading(Frame):
     message: str
     steep_share: float = 0.0
     lower_bound: bool = False
-    markers_mm: NDArray[np.float64] | None = None
-    marker_rest_mm: NDArray[np.float64] | None = None
+    markers_mm: NDArray[np.float64] = field(default_factory=_no_markers)
+    marker_rest_mm: NDArray[np.float64] = field(default_factory=_no_markers)
     markers_lost: int = 0
 
     def summary(self) -> dict[str, Any]:
@@ -86,12 +90,11 @@ class Reading(Frame):
             "shear_sum_x_mm": self.shear_sum_mm[0],
             "shear_sum_y_mm": self.shear_sum_mm[1],
         }
-        n_markers = 0 if self.markers_mm is None else len(self.markers_mm)
         known = {k: float(v) if math.isfinite(v) else None for k, v in numbers.items()}
         return {
             "contact": bool(self.contact_mask.any()),
             **known,
-            "markers": n_markers,
+            "markers": len(self.markers_mm),
             "markers_lost": self.markers_lost,
             "message": self.message,
             "steep_share": round(self.steep_share, 4),
@@ -146,7 +149,7 @@ class ImageReader:
         touched = depth > 0
         motion, rest, lost = self._motion(rgb)
         shear, places, unseen = np.full(2, math.nan), None, ""
-        if motion is not None and rest is not None:
+        if len(rest):
             places = np.asarray(mm_to_px(rest + motion, *self._scale), np.float64)
             if lost > (1.0 - LEAST_SEEN) * len(rest):
                 unseen = f"{lost} of {len(rest)} dots are not seen: the shear is not known"
@@ -200,10 +203,10 @@ class ImageReader:
 
     def _motion(
         self, rgb: NDArray[np.uint8]
-    ) -> tuple[NDArray[np.float64] | None, NDArray[np.float64] | None, int]:
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
         """Motion of the dots (M, 2), mm, their places at rest, and how many were not seen."""
         if self._at_rest is None:
-            return None, None, 0
+            return _no_markers(), _no_markers(), 0
         motion, seen = follow(self._at_rest, [rgb])
         moved_mm = np.asarray(motion[0] * self.sensor.table.mm_per_px, np.float64)
         return (
@@ -311,7 +314,7 @@ def _arrays(reading: Reading) -> dict[str, NDArray[Any]]:
         "depth_mm": reading.depth_mm,
         "contact_mask": reading.contact_mask,
     }
-    if reading.markers_mm is not None and reading.marker_rest_mm is not None:
+    if len(reading.markers_mm):
         arrays |= {"markers_mm": reading.markers_mm, "marker_rest_mm": reading.marker_rest_mm}
     return arrays
 

@@ -40,15 +40,15 @@ PARTIAL_SLIP, PLACE, TURNED, SHIFTED = (
 class MarkerRules:
     """Thresholds of the choice, set on other seeds of validation/blind/markers.py than reported."""
 
-    min_gain: float = 0.005
-    """Share of the squared error, noise included, that an effect explains: by chance 0.001."""
+    min_gain: float = 0.002
+    """Share of the squared error, noise included, that an effect explains: by chance 0.0005."""
     frames: int = 6
     """Of a press, in the choice: a place is tried in some hundred spots."""
     scan_mm: float = 1.5
     """Distance of those spots: half of a contact's radius."""
     scan_radius_mm: float = 1.75
     """Of a place that is tried; it is fitted then."""
-    excess: float = 3.0
+    excess: float = 2.5
     """Standard deviations of the noise's own squared error that a press is off by: a place is
     looked for there."""
     more: float = 4.0
@@ -293,10 +293,18 @@ def _choose(
 
 def _off(data: FieldData, fit: Sequence[int], slip: Slip, rules: MarkerRules) -> list[int]:
     """Presses whose error is clearly more than noise."""
-    left = _left(data, slip, data.linear(slip, fit), np.zeros_like(data.tracks.grid_mm))
-    count = np.array([np.isfinite(press.motion_mm).sum() for press in data.presses])
-    most = data.noise_mm**2 * (1.0 + rules.excess * np.sqrt(2.0 / count))
-    return [one for one in fit if left[one] > most[one]]
+    linear, found = data.linear(slip, fit), []
+    for one in fit:
+        press = data.presses[one]
+        # In the dots about its contact: where it slips, the others hardly move otherwise.
+        away = np.hypot(*(data.tracks.rest_mm - press.center_mm).T)
+        near = np.broadcast_to((away < press.patch_mm + slip.decay_mm)[:, None], (len(away), 2))
+        chosen = np.broadcast_to(near, press.motion_mm.shape)[np.isfinite(press.motion_mm)]
+        left = data.residual(one, slip, linear)[chosen]
+        most = 1.0 + rules.excess * np.sqrt(2.0 / max(len(left), 1))
+        if len(left) and (left**2).mean() > most * data.noise_mm**2:
+            found.append(one)
+    return found
 
 
 def _with_place(
