@@ -168,13 +168,13 @@ class Images(Section):
 class FrictionPlace(Section):
     """A round place of the gel with another friction."""
 
-    x_mm: FiniteFloat
+    x_mm: FiniteFloat = 0.0
     """Its middle along x, gel frame."""
-    y_mm: FiniteFloat
+    y_mm: FiniteFloat = 0.0
     """Its middle along y, gel frame."""
-    radius_mm: PositiveFloat
+    radius_mm: PositiveFloat = 2.0
     """Its radius."""
-    friction: PositiveFloat
+    friction: PositiveFloat = 0.2
     """Coulomb's coefficient there."""
 
 
