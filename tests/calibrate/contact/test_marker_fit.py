@@ -19,6 +19,7 @@ from tacgen.calibrate.contact.marker_fit import (
 from tacgen.cli import app
 from tacgen.contact.law import load_law
 from tacgen.core.errors import PressError
+from tacgen.presses.ball_shear import Place
 from tests.marker_sessions import K_N, K_S, SENSOR, make_session, read_session
 
 
@@ -44,7 +45,8 @@ def test_k_s_decay_and_friction_come_back_through_the_command(tmp_path):
     assert law.marker_pitch_mm == SENSOR.markers.pitch_mm
     field = json.loads(result.stdout)["field"]
     assert field["friction"]["value"] == law.friction.value
-    assert field["rmse_mm"] < 1.05 * field["noise_mm"]
+    # The gauge's noise and the steps of the load between frames are no more than a tenth of it.
+    assert field["rmse_mm"] < 1.1 * field["noise_mm"]
     page = (tmp_path / "report" / "contact.html").read_text()
     assert "Motion of the dots at the largest shear" in page
 
@@ -58,7 +60,7 @@ def test_a_contact_that_sticks_gives_no_friction_but_how_much_there_is_at_least(
     assert "no slip shows" in found.sentence()
 
 
-def test_a_dome_and_a_sum_alone_do_not_shift_the_compliance(tmp_path):
+def test_twice_the_motion_is_twice_the_compliance(tmp_path):
     """c is k_s · pitch²: linear, so that twice the motion is twice c and nothing else."""
     data = field_data(read_session(make_session(tmp_path, presses=5))[1], SENSOR, K_N, 5)
     every = range(len(data.presses))
@@ -92,8 +94,6 @@ def test_intervals_hold_the_truth_as_often_as_they_say(tmp_path):
 
 
 def test_a_place_that_no_press_reaches_is_nothing(tmp_path):
-    from tacgen.presses.ball_shear import Place
-
     data = field_data(read_session(make_session(tmp_path, presses=4))[1], SENSOR, K_N, 3)
     far = Slip(place=Place(40.0, 40.0, 1.0, 0.1))
     np.testing.assert_array_equal(data.strain(0, far), data.strain(0, Slip()))
