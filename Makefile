@@ -26,12 +26,12 @@ $(BASE): pyproject.toml requirements.lock
 	@$(PIP) --constraint requirements.lock --editable .
 	@touch $@
 
-# LEARN= leaves PyTorch and the tests that need it out.
+# LEARN= leaves PyTorch, Warp and the tests that need them out.
 LEARN ?= requirements-learn.lock
 
 $(READY): $(BASE) $(LEARN)
-	@echo "Adding the tools of development and every extra but PyTorch: some 300 MB to download"
-	@$(if $(LEARN),echo "and PyTorch: 2.5 GB with CUDA or 0.2 GB for a CPU build")
+	@echo "Adding the tools of development and every extra but PyTorch and Warp: some 300 MB to download"
+	@$(if $(LEARN),echo "and PyTorch and Warp: 2.7 GB with CUDA or 0.4 GB for a CPU build")
 	@$(PIP) -r requirements.lock $(addprefix -r ,$(LEARN))
 	@touch $@
 

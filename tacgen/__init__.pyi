@@ -1,3 +1,4 @@
+from .batch.sensor import BatchSensor as BatchSensor
 from .collection.recipe import load_recipe as load_recipe
 from .collection.run import collect as collect
 from .contact.law import load_law as load_law

@@ -20,6 +20,7 @@ ORDER = (
     "collection",
     "learning",
     "presses",
+    "batch",
     "sensor",
     "dataset",
     "objects",

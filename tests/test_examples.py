@@ -1,6 +1,7 @@
 """Every script in ``examples/`` runs as its first line says, and gives the force that it should."""
 
 import doctest
+import importlib.util
 import json
 import os
 import re
@@ -45,6 +46,17 @@ def test_digit_reads_the_weight_of_the_ball(engine, tmp_path):
 
 
 @pytest.mark.slow
+def test_digits_in_mujoco_warp(tmp_path):
+    pytest.importorskip("mujoco_warp")
+    said = run("digits_in_mujoco_warp.py", cwd=tmp_path)
+    least_n, most_n = map(float, re.findall(r"([\d.]+) to ([\d.]+) N", said)[0])
+    # A ball of 0.1 kg, pushed by 0 to 6 N.
+    assert least_n == pytest.approx(0.1 * 9.81, rel=0.02)
+    assert most_n == pytest.approx(0.1 * 9.81 + 6, rel=0.02)
+    assert cv2.imread(str(tmp_path / "digits.png")).shape == (1280, 960, 3)
+
+
+@pytest.mark.slow
 def test_training_loop(tmp_path):
     pytest.importorskip("torch")
     collect_toy(tmp_path / "data", make_spec())
@@ -63,7 +75,12 @@ def test_examples_in_docstrings(tmp_path, monkeypatch):
         "law: volume_linear\nk_n_mm3_per_n: {value: 5.135}\nk_s_mm_per_n: {value: 1.0}\n"
     )
     names = ("load_recipe", "collect", "load_table", "load_law", "Sensor", "read_image", "Dataset")
-    assert {*names, "Predictor", "__version__"} == set(dir(tacgen))
+    assert {*names, "BatchSensor", "Predictor", "__version__"} == set(dir(tacgen))
+    if importlib.util.find_spec("warp"):
+        import warp
+
+        monkeypatch.setattr(warp.config, "log_level", warp.LOG_WARNING)  # it prints what it loads
+        names += ("BatchSensor",)
     finder, runner = doctest.DocTestFinder(recurse=False), doctest.DocTestRunner()
     for name in names:
         globs = {"tacgen": tacgen, "Path": Path}

@@ -133,23 +133,52 @@ def calibrate_import(
 
 @common.calibrate_app.command("export")
 def calibrate_export(
-    table: Annotated[Path, Argument(help="Table file (table.npz).")],
+    calibrated: Annotated[
+        Path, Argument(help="Table (table.npz) for taxim, contact law (contact.yaml) for mujoco.")
+    ],
     out: Annotated[Path, Option(help="Folder to write; it must not exist yet.")],
     format_name: Annotated[
-        str, Option("--format", help="taxim: the calibration folder of Taxim's simulators.")
+        str,
+        Option(
+            "--format",
+            help="taxim: the calibration folder of Taxim's simulators; mujoco: a pad with k_n.",
+        ),
     ] = "taxim",
-    dome_radius_mm: common.DomeRadiusOption = None,
+    sensor: Annotated[
+        str, Option(help="mujoco: sensor whose gel it is.", autocompletion=common.sensor_names)
+    ] = "gelsight",
+    dome_radius_mm: Annotated[
+        float | None,
+        Option(
+            help="Radius of the gel's dome, mm; default: the table's (else flat), the sensor's."
+        ),
+    ] = None,
     json_output: common.JsonFlag = False,
 ) -> None:
-    """Write a table for other simulators; prints what their form of it loses."""
+    """Write a table or a contact law for other simulators; prints what their form of it loses."""
     from dataclasses import asdict
 
-    from tacgen.calibrate.lookup.taxim_export import export_taxim
     from tacgen.core.errors import TableError, require_known
+
+    require_known("--format", format_name, ("taxim", "mujoco"), TableError)
+    if format_name == "mujoco":
+        from tacgen.calibrate.contact.mujoco_export import export_mujoco
+        from tacgen.contact.law import load_law
+        from tacgen.sensor.description import SensorChoice, load_sensor
+
+        choice = SensorChoice(name=sensor, dome_radius_mm=dome_radius_mm)
+        pad = export_mujoco(load_law(calibrated), load_sensor(choice, needs_table=False), out)
+        common.warn([f"left out: {', '.join(pad.left_out)}"] if pad.left_out else [])
+        path = out / "pad.xml"
+        common.print_result(
+            {"file": str(path), **asdict(pad)}, [str(path), pad.line()], json_output
+        )
+        common.hand_over(f'mujoco.MjSpec.from_file("{path.resolve()}").body("pad")  # attach it')
+        return
+    from tacgen.calibrate.lookup.taxim_export import export_taxim
     from tacgen.optics.table import load_table
 
-    require_known("--format", format_name, ("taxim",), TableError)
-    loaded = load_table(table)
+    loaded = load_table(calibrated)
     loss = export_taxim(loaded, out, dome_radius_mm)
     if loaded.effects:
         common.warn([f"left out: {', '.join(loaded.effects)}, which Taxim's form has no place for"])

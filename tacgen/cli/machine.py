@@ -4,7 +4,7 @@ from dataclasses import asdict
 from typing import Annotated
 
 import typer
-from typer import Option
+from typer import Argument, Option
 
 from tacgen.cli import common
 
@@ -24,12 +24,24 @@ def doctor(json_output: common.JsonFlag = False) -> None:
 @common.app.command(rich_help_panel=common.MACHINE)
 def bench(
     repeats: Annotated[int, Option(min=5, help="Repetitions of each measurement.")] = 30,
+    batch: Annotated[bool, Option("--batch", help="Measure batches of worlds instead.")] = False,
+    worlds: Annotated[
+        list[int] | None, Argument(min=1, help="Numbers of worlds, after --batch; 1 64 1024.")
+    ] = None,
+    device: Annotated[str, Option(help="Of the batches: cpu or cuda.")] = "cpu",
     json_output: common.JsonFlag = False,
 ) -> None:
     """Measure the time of frames and grasps on this machine: medians, one thread."""
-    from tacgen.collection.bench import run_benchmarks
+    from tacgen.collection.bench import BATCHES, batch_figures, run_benchmarks
 
-    figures = list(run_benchmarks(repeats))
+    figures = list(
+        batch_figures(worlds or BATCHES, device, repeats)
+        if batch or worlds
+        else run_benchmarks(repeats)
+    )
     record = {name: value for name, value, _, _ in figures}
-    lines = [f"{name:<24} {value:9.4g} {unit:<3} {what}" for name, value, unit, what in figures]
+    width = max(len(name) for name, *_ in figures)
+    lines = [
+        f"{name:<{width}} {value:9.4g} {unit:<3} {what}" for name, value, unit, what in figures
+    ]
     common.print_result(record, lines, json_output)

@@ -8,15 +8,19 @@ scene picture and without writing.
 
 import statistics
 import timeit
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe
 from tacgen.contact import gap_map, solve_indentation
+from tacgen.core.errors import SensorError
+from tacgen.core.optional_dependencies import require_extra
+from tacgen.core.records import Mesh
 from tacgen.objects import load_object
 from tacgen.optics import load_table
 from tacgen.sensor.description import load_sensor
@@ -25,6 +29,7 @@ from tacgen.sensor.tactile_pad import TactilePad
 
 FRAME_OBJECT = "tomato_soup_can"
 FRAME_VOLUME_MM3 = 40.0  # about what 8 N press into the default gel
+BATCHES, BATCH_FORCE_N = (1, 64, 1024), 8.0
 GRASP = {"force_n": 10.0, "x_mm": 0.0, "y_mm": 0.0, "z_mm": 60.0}
 SEQUENCE_FRAMES = 24  # of the default recipe
 SIDE_POSE = (
@@ -45,10 +50,48 @@ def run_benchmarks(repeats: int) -> Iterator[Figure]:
     yield from _grasp_figures(max(5, repeats // 3))
 
 
-def _frame_figures(repeats: int) -> Iterator[Figure]:
+def batch_figures(sizes: Sequence[int], device: str, repeats: int) -> Iterator[Figure]:
+    """Time a frame of batches of so many worlds, from posed meshes and from gap maps.
+
+    Raises ``SensorError`` if Warp or the device is not there, or the memory does not suffice.
+    """
+    require_extra("batch", "batches of sensors need", SensorError)
+    import warp as wp
+
+    from tacgen.batch.sensor import BatchSensor
+
+    wp.config.log_level = wp.LOG_WARNING  # what it logs goes where the figures go
+    surface, pose = _side_of_object()
+    for name in ("gelsight_mini", "gelsight"):
+        for n in sizes:
+            batch = BatchSensor(name, n, device)
+            batch.add_mesh(surface)
+            one = gap_map(surface.vertices_mm, surface.faces, pose, batch.description)
+            gap_mm = wp.array(np.repeat(one[None], n, axis=0), dtype=wp.float32, device=device)
+            poses = wp.array(np.repeat(pose[None], n, axis=0), dtype=wp.float64, device=device)
+            ids = wp.zeros(n, dtype=wp.int32, device=device)
+            force_n = wp.full(n, BATCH_FORCE_N, dtype=wp.float32, device=device)
+            height, width = batch.description.shape_px
+            for what, frames in (
+                ("meshes", partial(batch.render_meshes, ids, poses, force_n)),
+                ("gap maps", partial(batch.render, gap_mm, force_n)),
+            ):
+                seconds = _median_s(frames, max(3, repeats // n)) / n
+                rate = f"{name}, {what}, {n} worlds on {device}: {1 / seconds:.0f} frames/s"
+                key = f"batch_{n}_{what.split()[0]}_ms_{width}x{height}"
+                yield key, 1e3 * seconds, "ms", rate
+
+
+def _side_of_object() -> tuple[Mesh, NDArray[np.float64]]:
+    """An object that lies against the gel with its side."""
     surface = load_object(FRAME_OBJECT).surface
     pose = np.array(SIDE_POSE)
     pose[1, 3] = float(np.mean(surface.vertices_mm[:, 2]))
+    return surface, pose
+
+
+def _frame_figures(repeats: int) -> Iterator[Figure]:
+    surface, pose = _side_of_object()
     for name, sensor_name, shadows in (
         ("frame_ms_640x480", "gelsight", False),
         ("frame_shadow_ms_640x480", "gelsight", True),

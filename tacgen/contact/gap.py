@@ -153,7 +153,7 @@ def _is_within(columns: Float64, rows: Float64, shape_px: tuple[int, int]) -> bo
     return bool(within_x and low_y >= 0 and high_y <= shape_px[0] - 1)
 
 
-class _Surround:
+class Surround:
     """The gel around a sensor's window, in pixels of about ``BESIDE_MM``.
 
     The camera does not see what touches there, but it carries a part of the force.
@@ -162,29 +162,29 @@ class _Surround:
     def __init__(self, sensor: Sensor) -> None:
         # A power of two, of which images usually are multiples.
         self.pixels = 2 ** max(0, round(math.log2(BESIDE_MM / sensor.mm_per_px)))
-        self._pixel_mm = self.pixels * sensor.mm_per_px
+        self.pixel_mm = self.pixels * sensor.mm_per_px
         self._dome_mm = sensor.dome_radius_mm
         window_mm = np.array([sensor.width_px, sensor.height_px]) * sensor.mm_per_px
         self._half_window_mm = float(window_mm[0] / 2), float(window_mm[1] / 2)
         size_mm = gel_size_mm(sensor)
         # An even number of pixels, so that the window is whole pixels where it can be.
-        columns, rows = (2 * math.ceil(one / (2 * self._pixel_mm) - 1e-6) for one in size_mm)
-        self._shape_px = rows, columns
-        x_mm, y_mm = (self._pixel_mm * (np.arange(n) + 0.5 - n / 2) for n in (columns, rows))
+        columns, rows = (2 * math.ceil(one / (2 * self.pixel_mm) - 1e-6) for one in size_mm)
+        self.shape_px = rows, columns
+        x_mm, y_mm = (self.pixel_mm * (np.arange(n) + 0.5 - n / 2) for n in (columns, rows))
         self.places_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
         away_mm = np.abs(self.places_mm)
         outside = (away_mm > self._half_window_mm).any(axis=1)
         outside &= (away_mm < np.array(size_mm) / 2).all(axis=1)
-        self._outside = outside.reshape(self._shape_px)
+        self.outside = outside.reshape(self.shape_px)
         square_mm2 = (self.places_mm**2).sum(axis=1).tolist()
         gel_mm = np.array([dome_mm(one, self._dome_mm) for one in square_mm2])
-        self._gel_mm = gel_mm.reshape(self._shape_px)
-        self._depth_mm = np.full(self._shape_px, np.inf)
+        self.gel_mm = gel_mm.reshape(self.shape_px)
+        self._depth_mm = np.full(self.shape_px, np.inf)
         self._grains = np.empty(len(gel_mm), np.int32)
         self._places = np.empty(len(gel_mm), np.int32)
         self._mesh: CellMesh | None = None
         self._posed, self._found = np.empty((3, 0)), np.empty((0, 3), np.int32)
-        self.is_there = bool(self._outside.any())
+        self.is_there = bool(self.outside.any())
 
     def gaps(
         self, mesh: CellMesh, pose: Float64, heights_mm: Float64, zero_mm: float, reach_mm: float
@@ -197,15 +197,15 @@ class _Surround:
         limit_mm = zero_mm + reach_mm if np.isfinite(zero_mm) else np.inf
         count = faces_beside(
             *(mesh.vertices_mm, mesh.faces, mesh.first, mesh.spheres_mm, mesh.halves_mm),
-            *(pose, self._half_window_mm, self._pixel_mm, self._shape_px, self._dome_mm),
+            *(pose, self._half_window_mm, self.pixel_mm, self.shape_px, self._dome_mm),
             *(limit_mm, heights_mm, posed, found),
         )
         if not count:
             return _NONE, _NONE
         x, y, z = posed
-        drawn = rasterize(x, y, z, found[:count], self._gel_mm, limit_mm, 1, self._depth_mm)
+        drawn = rasterize(x, y, z, found[:count], self.gel_mm, limit_mm, 1, self._depth_mm)
         count = _gather_beside(
-            *(self._depth_mm, self._gel_mm, self._outside, drawn, zero_mm, limit_mm),
+            *(self._depth_mm, self.gel_mm, self.outside, drawn, zero_mm, limit_mm),
             *(self._grains, self._places),
         )
         return self._grains[:count], self._places[:count]
@@ -223,7 +223,7 @@ class GapMapper:
             raise ContactError(msg)
         self.sensor = sensor
         self._gel_mm = gel_map_mm(sensor)
-        self._surround = _Surround(sensor)
+        self._surround = Surround(sensor)
         self._depth_mm = np.full(sensor.shape_px, np.inf)
         self._drawn = (0, 0, 0, 0)  # the window of the depth map that is not +inf
         self._grains = np.empty(sensor.height_px * sensor.width_px, dtype=np.int32)

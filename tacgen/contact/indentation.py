@@ -132,7 +132,7 @@ def solve_grains(
             found = (volume / stride + in_window + around * weight / stride) / count
             if stride == 1 and math.ceil(found) == math.ceil(delta):
                 return min(found, deepest)
-            if stride == 8 and abs(found - delta) < 1e-3 * delta:
+            if stride == 8 and abs(found - delta) < 1e-3 * abs(delta):
                 break
             if found >= deepest and delta >= deepest:
                 break

@@ -18,6 +18,8 @@ DILATION_GAIN = 0.03
 """Sideways motion of the gel's surface around an indentation, per mm of depth and mm² of contact.
 Chosen so that a marker beside a 1 mm deep ball press moves by about 0.1 mm, as on real gels."""
 
+NEGLIGIBLE = 20.0  # e^−20: beyond 6.5 mm the indentation at a point moves nothing
+
 DEFAULT_PITCH_MM = 2.0
 """Spacing of the points at which the motion of a gel without markers is summed."""
 
@@ -64,7 +66,10 @@ def _dilation(points_mm: Float64, patch_mm: Float64, weights_mm3: Float64, out: 
         for j in range(patch_mm.shape[0]):
             dx = points_mm[i, 0] - patch_mm[j, 0]
             dy = points_mm[i, 1] - patch_mm[j, 1]
-            weight = weights_mm3[j] * np.exp(-DILATION_DECAY_PER_MM2 * (dx * dx + dy * dy))
+            away = DILATION_DECAY_PER_MM2 * (dx * dx + dy * dy)
+            if away > NEGLIGIBLE:
+                continue
+            weight = weights_mm3[j] * np.exp(-away)
             along_x += weight * dx
             along_y += weight * dy
         out[i, 0], out[i, 1] = along_x, along_y

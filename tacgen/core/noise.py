@@ -44,14 +44,14 @@ class CameraNoise:
         self.sigma_grey = sigma_grey
         # Equally likely values of a standard normal, scaled to unit variance: ±3.7 at most.
         values = np.array([NormalDist().inv_cdf((k + 0.5) / _LEVELS) for k in range(_LEVELS)])
-        self._quantiles = np.asarray((values / np.sqrt(np.mean(values**2))).astype(np.float32))
+        self.quantiles = np.asarray((values / np.sqrt(np.mean(values**2))).astype(np.float32))
 
     def quantize(
         self, image: NDArray[np.float32], rng: np.random.Generator, rgb: NDArray[np.uint8]
     ) -> None:
         """Add noise to a C-contiguous ``image`` (H, W, 3) and round it to 8 bits, into ``rgb``."""
         words = rng.bit_generator.random_raw((image.size + 3) // 4).view(np.uint16)
-        _quantize(image, words, self._quantiles, np.float32(self.sigma_grey), rgb)
+        _quantize(image, words, self.quantiles, np.float32(self.sigma_grey), rgb)
 
 
 def with_camera_noise(

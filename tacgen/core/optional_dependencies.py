@@ -9,6 +9,7 @@ EXTRAS = {
     "parquet": ("pyarrow",),
     "cluster": ("submitit",),
     "view": ("rerun",),
+    "batch": ("warp",),
 }
 
 

@@ -6,6 +6,9 @@ PyBullet with each set of channels, from scratch, and tests it on the test grasp
 It prints a Markdown table: the mean accuracy over the seeds with the standard error of one test
 set, and of the difference to the image alone, paired by grasp, with its 95 % interval from
 resampling the grasps. What is there already is used again.
+
+With 143 training and 116 test grasps and two seeds no channel adds anything that this many grasps
+can tell: +1.3 [−1.3, +3.9] % at most, in either engine.
 """
 
 from __future__ import annotations

@@ -79,6 +79,7 @@ def split(raw: PressImages, seed: int) -> tuple[PressImages, PressImages]:
             center[k], radius[k] = screened.center_px[at[name]], screened.radius_px[at[name]]
     presses = replace(presses, center_px=center, radius_px=radius)
     experiment = experiments_of(presses)
+    presses = replace(presses, experiment=experiment)
     order = np.random.default_rng(seed).permutation(experiment.max() + 1)
     held_out = np.isin(experiment, order[: max(1, round(HELD_OUT * len(order)))])
     train = np.array([at[n] for n in np.array(presses.names)[~held_out] if n in at])
@@ -122,7 +123,10 @@ def mlp(inputs: Floats, changes: Floats, seed: int) -> Guess:
 
 
 def taxim_recipe(inputs: Floats, changes: Floats) -> Guess:
-    """A quadratic in place for each bin of slope and direction; empty bins are the nearest's."""
+    """A quadratic in place for each bin of slope and direction; empty bins are the nearest's.
+
+    NaN everywhere where no bin has the pixels for one: a small set of small images.
+    """
 
     def bins(values: Floats) -> NDArray[np.int64]:
         slope = np.arctan(np.hypot(values[:, 0], values[:, 1])) / (np.pi / 2 / (BINS - 1))
@@ -142,6 +146,8 @@ def taxim_recipe(inputs: Floats, changes: Floats) -> Guess:
             solved = np.linalg.lstsq(features(inputs[part]), changes[part], rcond=None)
             table[index[part[0]]] = solved[0]
     known = np.flatnonzero(np.isfinite(table[:, 0, 0]))
+    if not known.size:
+        return lambda values: np.full((len(values), 3), np.nan)
     missing = np.flatnonzero(~np.isfinite(table[:, 0, 0]))
     grid = np.column_stack(np.divmod(np.arange(BINS * BINS), BINS))
     nearest = griddata(grid[known], known, grid[missing], method="nearest").astype(int)

@@ -1,1 +1,1 @@
-"""The gel's sideways motion beside a finite-element model; see docs/results/shear.md."""
+"""The gel's sideways motion beside finite elements."""

@@ -1,7 +1,7 @@
 """The gel's shear by finite elements beside tacgen's field, and beside a rigid shift that decays.
 
 Run it with ``python -m validation.shear.referee --out DIR [--quick]``; it needs scikit-fem and
-takes 2 CPU minutes, 45 s with ``--quick``. Each gel is calibrated as a user would: k_n, k_s and the
+takes 3 CPU minutes, 1 with ``--quick``. Each gel is calibrated as a user would: k_n, k_s and the
 decay's default; nothing is fitted to the fields that are compared. Written are ``errors.csv`` and
 pictures.
 """

@@ -22,7 +22,7 @@ from tacgen.calibrate.lookup.smooth_model import (
 from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.presses.experiments import is_clear
 from tacgen.presses.geometry import MAX_RADIUS_SHARE, Membrane, PressedGel, rest_height, rest_slope
-from tacgen.presses.press_images import PressImages, place_mm
+from tacgen.presses.press_images import PressImages, label_mm, place_mm
 
 EXPECTED_RADIUS_SHARE = 0.95
 """Largest expected contact radius as a share of the ball's: a fit may still go up to
@@ -46,6 +46,9 @@ about half of the way back."""
 
 LARGEST_SHIFT_RADII = 0.5
 """Largest shift of a label, in label radii: presses close together tell none elsewhere."""
+
+SAME_PLACE_SCATTERS = 2.0
+"""Labels of one press's pictures scatter by less than twice what labels do, or it moved."""
 
 TILT_RIDGES = (0.5, 0.05, 0.005, 0.0005)
 """On what a label's shift grows by in 10 mm, in presses 10 mm from the centre."""
@@ -290,7 +293,7 @@ def place_jointly(
     for _ in range(iterations):
         samples = _less(thinned, share * prepared.drift)
         model = _fit_model(samples, geometry, press_model, rough)
-        expected, scatter = _expected(presses, press_model.labels.geometry(labels))
+        expected, scatter = _expected(presses, press_model.labels)
         geometry = np.array(
             [
                 _place_sample(sample, model, press_model, place, *prior)
@@ -351,15 +354,35 @@ def _drift_share(
     return float(np.clip((residual * drift).sum() / size, 0.0, 1.0))
 
 
-def _expected(presses: PressImages, by_label: FloatArray) -> tuple[FloatArray, FloatArray]:
+def expected_by_label(presses: PressImages, labels: LabelModel) -> FloatArray:
+    """Expected geometry (N, 3), mm, of each picture by its press's labels.
+
+    Pictures of a press share its place, so that each is expected in the middle of where all their
+    labels say. Not where these are further apart than labels scatter, nor in a named trial: there
+    the ball may have moved.
+    """
+    label = label_mm(presses)
+    expected = labels.geometry(label)
+    expected[:, 2] = np.minimum(expected[:, 2], EXPECTED_RADIUS_SHARE * presses.ball_radius_mm)
+    named = presses.trial is not None and np.isfinite(presses.trial).any()
+    if not named and presses.n_experiments < len(presses):
+        of_press = (presses.experiment[:, None] == presses.experiment).astype(np.float64)
+        of_press /= of_press.sum(axis=1, keepdims=True)
+        square = ((label[:, :2] - of_press @ label[:, :2]) ** 2).mean(axis=1)
+        apart_radii = np.sqrt(of_press @ (square / label[:, 2] ** 2))
+        at_rest = apart_radii < SAME_PLACE_SCATTERS * RULES.center_scatter_radii
+        expected[at_rest, :2] = (of_press @ expected[:, :2])[at_rest]
+    return expected
+
+
+def _expected(presses: PressImages, labels: LabelModel) -> tuple[FloatArray, FloatArray]:
     """Expected geometry (N, 3), mm, and its scatter (N, 3), label radii.
 
     A circle that is seen in the picture says more about the centre than a label does, and keeps a
     shift that all labels share from going into the table. Where it stands in for the label it is no
     second piece of evidence.
     """
-    expected = np.array(by_label)
-    expected[:, 2] = np.minimum(expected[:, 2], EXPECTED_RADIUS_SHARE * presses.ball_radius_mm)
+    expected = expected_by_label(presses, labels)
     scatter = np.tile(LABEL_SCATTER_RADII, (len(presses), 1))
     if presses.seen_px is not None:
         known = np.isfinite(presses.seen_px).all(axis=1)

@@ -184,10 +184,7 @@ def score_table(table: LookupTable, presses: PressImages, *, gradients: bool = F
     check_resolution(table, presses)
     press_model = press_model_of(table, presses)
     renderer = PressRenderer(table, press_model)
-    expected = press_model.labels.geometry(label_mm(presses))
-    expected[:, 2] = np.minimum(
-        expected[:, 2], press_fit.EXPECTED_RADIUS_SHARE * presses.ball_radius_mm
-    )
+    expected = press_fit.expected_by_label(presses, press_model.labels)
     reader = None
     if gradients:
         reader = Reconstructor(table, presses.background, presses.dome_radius_mm)

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tacgen.calibrate.lookup.model_choice import _drift_share
-from tacgen.calibrate.lookup.press_fit import PressSums, learn_labels
+from tacgen.calibrate.lookup.press_fit import (
+    PressSums,
+    expected_by_label,
+    learn_labels,
+    plain_press_model,
+)
 from tacgen.calibrate.lookup.settings import FitSettings
 from tacgen.calibrate.lookup.smooth_model import (
     bent_normal,
     n_light_terms,
     n_position_features,
 )
+from tacgen.presses.press_images import label_mm
+from tests.virtual_presses import repeated, virtual_presses
 
 
 def slopes_and_places(seed, n):
@@ -51,6 +60,31 @@ def test_labels_of_presses_all_over_the_gel_keep_their_places():
     off = learn_labels(labels, geometry).geometry(labels) - geometry
     assert np.abs(off[:, :2].mean(axis=0)).max() < 0.02
     assert off[:, :2].std() < 0.13
+
+
+@pytest.mark.parametrize(
+    ("scatter_radii", "trial", "closer"),
+    [(0.1, False, True), (1.0, False, False), (0.1, True, False)],
+    ids=["labels scatter", "the ball moved", "named trials"],
+)
+def test_pictures_of_a_press_are_expected_where_all_their_labels_say(scatter_radii, trial, closer):
+    """Four labels with errors of their own: their middle is off by half as much as one is."""
+    alone = virtual_presses(3, count=12)
+    presses = repeated(alone, 4)
+    off_px = np.random.default_rng(0).normal(0, scatter_radii * alone.radius_px.mean(), (48, 2))
+    number = np.repeat(np.arange(12), 4)
+    presses = replace(
+        presses,
+        center_px=presses.center_px + off_px,
+        experiment=number,
+        trial=number.astype(float) if trial else None,
+    )
+    model = plain_press_model(1.3).labels
+    true = model.geometry(label_mm(repeated(alone, 4)))[:, :2]
+    error = expected_by_label(presses, model)[:, :2] - true
+    alone_error = off_px * presses.mm_per_px
+    expected = 0.5 if closer else 1.0
+    assert error.std() / alone_error.std() == pytest.approx(expected, abs=0.15)
 
 
 @pytest.mark.parametrize("comes_again", [True, False])

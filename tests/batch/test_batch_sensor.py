@@ -1,0 +1,374 @@
+"""A batch draws what ``Sensor`` draws, in arrays of any library, and refuses what it cannot."""
+
+import importlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+import tacgen
+from tacgen.collection.bench import batch_figures
+from tacgen.contact import gap_map, solve_indentation
+from tacgen.contact.law import ContactLaw, FittedEffect
+from tacgen.core.errors import ContactError, SensorError, TableError
+from tacgen.core.records import Estimate
+from tacgen.objects import load_object
+from tacgen.optics.table import save_table
+from validation.batch.frames import compare, random_frames
+
+pytest.importorskip("warp")
+
+BALL = trimesh.creation.icosphere(subdivisions=4, radius=4.0)
+LINEAR_DEPTH = ContactLaw(
+    "linear_depth", Estimate(5.0), k_depth_mm_per_n=Estimate(0.1, 0.0, "mm/N")
+)
+CREEP = replace(
+    ContactLaw.default(),
+    effects=(FittedEffect("creep", "normal", {"amount": Estimate(0.4), "tau_s": Estimate(1.0)}),),
+)
+
+
+def batch(n=2, name="gelsight_mini", **options):
+    return tacgen.BatchSensor(name, n, "cpu", **options)
+
+
+def balls(offsets_mm, description):
+    """Gap maps (N, H, W) of balls over these places."""
+    gaps = []
+    for x, y in offsets_mm:
+        pose = trimesh.transformations.translation_matrix((x, y, 0))
+        gaps.append(gap_map(BALL.vertices, BALL.faces, pose, description))
+    return np.stack(gaps)
+
+
+@pytest.fixture(scope="module")
+def pair():
+    """A batch of two, and the gap maps of two balls."""
+    sensor = batch()
+    return sensor, balls([(0, 0), (1.5, -1)], sensor.description)
+
+
+@pytest.mark.parametrize("shadows", [False, True])
+def test_markers_are_where_one_sensor_has_them(shadows):
+    frames = [(0, trimesh.transformations.translation_matrix((x, 0, 0)), force_n)
+              for x, force_n in ((0, 4.0), (2.5, 0.01), (60, 1.0), (-9.5, 8.0))]  # fmt: skip
+    difference = compare("gelsight_mini", [BALL], frames, shadows=shadows, markers=True)
+    assert difference.most_grey <= 1
+    assert difference.mean_grey <= 0.05
+    assert difference.other == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["gelsight_mini", "gelsight"])
+def test_shear_moves_object_and_markers_as_of_one_sensor(name):
+    can = load_object("tomato_soup_can").surface
+    side = trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0))
+    side[:3, 3] = -side[:3, :3] @ np.asarray(can.vertices_mm).mean(axis=0)
+    move = trimesh.transformations.translation_matrix
+    frames = [(0, move((1, 0, 0)), 4.0), (1, side, 8.0), (0, move((4, 3, 0)), 2.0),
+              (0, np.eye(4), 3.0), (0, move((60, 0, 0)), 1.0)]  # fmt: skip
+    shear_n = np.array([[1.0, -0.5], [2.0, 3.0], [-0.8, 0.0], [0.0, 0.0], [0.1, 0.0]])
+    turn_n_mm = np.array([0.0, 5.0, -2.0, 0.0, 0.0])
+    difference = compare(
+        name, [BALL, can], frames, shear_n=shear_n, turn=turn_n_mm, markers=True, shadows=True
+    )
+    assert difference.most_grey <= 1
+    assert difference.mean_grey <= 0.05
+    assert difference.most_delta_mm <= 1e-6
+    assert difference.other == []
+
+
+def test_shear_remembers_until_it_is_reset():
+    sensor = batch(markers=True)
+    ball, poses = sensor.add_mesh(BALL), two_poses()
+    rest_mm = sensor.render_meshes([ball] * 2, poses, 3.0).markers_mm.copy()
+    pulled_mm = sensor.render_meshes([ball] * 2, poses, 3.0, [[1.0, 0.0]] * 2, time_s=0.0)
+    pulled_mm = pulled_mm.markers_mm.copy()
+    # D = k_s F_s, of markers 2 mm apart.
+    assert (pulled_mm - rest_mm)[:, :, 0].sum(axis=1) == pytest.approx(1.0, rel=0.05)
+    sensor.reset([1])
+    after_mm = sensor.render_meshes([ball] * 2, poses, 3.0, time_s=1.0).markers_mm
+    assert np.abs(after_mm[1] - rest_mm[1]).max() < 1e-5
+    assert np.abs(after_mm[0] - rest_mm[0]).max() > 1e-3  # where it slipped, some stays
+    # Without a clock every frame is a new press.
+    assert np.abs(sensor.render_meshes([ball] * 2, poses, 3.0).markers_mm - rest_mm).max() < 1e-5
+
+
+@pytest.fixture(params=["cpu", "cuda"])
+def device(request):
+    """Each device that is here."""
+    if request.param == "cuda" and not importlib.import_module("warp").is_cuda_available():
+        pytest.skip("there is no CUDA GPU")
+    return request.param
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shadows", [False, True])
+@pytest.mark.parametrize("name", ["digit", "gelsight", "gelsight_mini", "virtual_gelsight"])
+def test_pictures_of_shipped_objects_are_those_of_one_sensor(name, shadows, device):
+    objects = ["strawberry", "tomato_soup_can", "sugar_box", "scissors", "golf_ball"]
+    meshes = [load_object(one).surface for one in objects]
+    frames = random_frames(np.random.default_rng(7), meshes, 6)
+    difference = compare(name, meshes, frames, device=device, shadows=shadows)
+    assert difference.most_grey <= 1
+    assert difference.mean_grey <= 0.05
+    assert difference.most_delta_mm <= 1e-6
+    assert difference.other == []
+
+
+@pytest.mark.parametrize("shape_px", [(77, 101), (160, 90)])
+@pytest.mark.parametrize("mm_per_px", [0.03, 0.12])
+def test_odd_sizes_and_contacts_at_the_edge(shape_px, mm_per_px, tmp_path):
+    name = small_sensor(tmp_path, shape_px, mm_per_px)
+    half_mm = mm_per_px * np.array(shape_px[::-1]) / 2
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.5 * half_mm.min())
+    places = [(0, 0), (half_mm[0], 0), (0, -half_mm[1]), (-half_mm[0], half_mm[1])]
+    poses = np.stack([trimesh.transformations.translation_matrix((*at, 0)) for at in places])
+    force_n = 0.02 * half_mm.min() ** 3 * np.array([0.1, 0.3, 1.0, 20.0])
+    frames = [(0, pose, force) for pose, force in zip(poses, force_n, strict=True)]
+    difference = compare(name, [ball], frames, shadows=True)
+    assert difference.most_grey <= 1
+    assert difference.most_delta_mm <= 1e-6
+    assert difference.other == []
+
+
+def small_sensor(folder, shape_px, mm_per_px, **changes):
+    """A sensor of another size with the table of a GelSight Mini, whose file is returned."""
+    table = tacgen.load_table(tacgen.Sensor("gelsight_mini").description.table)
+    rows, columns = (np.linspace(0, n - 1, m).astype(int) for n, m in zip(
+        table.shape_px, shape_px, strict=True))  # fmt: skip
+    background = table.background[rows][:, columns]
+    save_table(
+        replace(table, background=background, mm_per_px=mm_per_px, **changes),
+        folder / "table.npz",
+    )
+    path = folder / "small.yaml"
+    path.write_text(
+        f"name: small\nheight_px: {shape_px[0]}\nwidth_px: {shape_px[1]}\nmm_per_px: {mm_per_px}\n"
+        "gel_depth_mm: 1.5\ntable: table.npz\n"
+        "leds:\n  - {direction: [0.8, 0.1, -0.3], rgb: [1.5, 0.1, 0.1]}\n"
+        "  - {direction: [-0.3, -0.9, -0.4], rgb: [0.1, 1.5, 0.4]}\n"
+    )
+    return str(path)
+
+
+def test_a_table_that_is_not_interpolated(tmp_path):
+    name = small_sensor(tmp_path, (60, 80), 0.1, interpolation="floor")
+    difference = compare(name, [BALL], [(0, np.eye(4), 1.0), (0, np.eye(4), 3.0)])
+    # A slope at the border between two bins falls into either.
+    assert difference.mean_grey <= 0.05
+
+
+def test_delta_is_that_of_the_exact_solve(pair):
+    sensor, gaps = pair
+    description = sensor.description
+    gaps = np.where(gaps < 4.0, gaps + np.float32(3.0), np.float32(np.inf))
+    out = sensor.render(gaps, [1.0, 4.0])
+    for k, force_n in enumerate((1.0, 4.0)):
+        volume_mm3 = force_n * sensor.law.k_n_mm3_per_n.value
+        delta_mm = solve_indentation(gaps[k], volume_mm3, description.pixel_area_mm2)
+        assert out.indentation_mm[k] == pytest.approx(delta_mm - gaps[k].min(), abs=1e-6)
+        assert out.depth_mm[k].sum(dtype=float) * description.pixel_area_mm2 == pytest.approx(
+            volume_mm3, rel=1e-5
+        )
+        assert np.array_equal(out.contact_mask[k], out.depth_mm[k] > 0)
+
+
+def test_where_along_z_does_not_matter(pair):
+    sensor, gaps = pair
+    first = sensor.render(gaps, [1.0, 2.0]).rgb.copy()
+    # By a power of two, which leaves the differences of float32 as they are.
+    assert np.array_equal(sensor.render(gaps + np.float32(2.0), [1.0, 2.0]).rgb, first)
+
+
+def test_nothing_and_everything(pair):
+    sensor, gaps = pair
+    gaps = gaps.copy()
+    gaps[0] = np.inf
+    out = sensor.render(gaps, [5.0, 1e6])
+    rest = tacgen.Sensor("gelsight_mini").at_rest_rgb()
+    assert np.array_equal(out.rgb[0], rest)
+    assert out.indentation_mm[0] == 0
+    assert not out.contact_mask[0].any()
+    assert out.saturated[1]
+    assert out.indentation_mm[1] == pytest.approx(sensor.description.gel_depth_mm, abs=1e-6)
+    assert np.array_equal(sensor.render(gaps, [0.0, 0.0]).rgb[1], rest)
+
+
+def test_a_depth_that_is_given(pair):
+    sensor, gaps = pair
+    solved = sensor.render(gaps, [1.0, 3.0])
+    kept = {name: np.array(getattr(solved, name)) for name in ("rgb", "depth_mm", "indentation_mm")}
+    given = sensor.render_depth(kept["depth_mm"])
+    assert np.array_equal(given.rgb, kept["rgb"])
+    assert given.indentation_mm == pytest.approx(kept["indentation_mm"], abs=1e-6)
+    assert not given.saturated.any()
+
+
+def test_noise_is_the_same_from_run_to_run(pair):
+    _, gaps = pair
+    clean = pair[0].render(gaps, 2.0).rgb.astype(int)
+    runs = []
+    for seed in (3, 3, 4):
+        sensor = batch(noise=True, seed=seed)
+        runs.append([sensor.render(gaps, 2.0).rgb.astype(int) for _ in range(2)])
+    assert np.array_equal(runs[0], runs[1])
+    assert not np.array_equal(runs[0][0], runs[0][1])
+    assert not np.array_equal(runs[0][0], runs[2][0])
+    noise = (runs[0][0] - clean)[(clean > 10) & (clean < 245)]
+    # Rounding before and after adds a twelfth of a squared grey level each.
+    expected = np.sqrt(sensor.table.noise_grey**2 + 1 / 6)
+    assert noise.std() == pytest.approx(expected, rel=0.03)
+    single = tacgen.Sensor("gelsight_mini", noise=True).render(BALL, np.eye(4), 2.0).rgb.astype(int)
+    alike = (single - clean[0])[(clean[0] > 10) & (clean[0] < 245)]
+    assert noise.mean() == pytest.approx(alike.mean(), abs=0.01)  # 4 standard errors
+
+
+def test_a_law_of_depth_and_one_with_memory(pair):
+    _, gaps = pair
+    assert batch(contact=LINEAR_DEPTH).render(gaps, [1.0, 4.0]).indentation_mm == pytest.approx(
+        [0.1, 0.4], abs=1e-6
+    )
+    sensor = batch(contact=CREEP)
+    area_mm2 = sensor.description.pixel_area_mm2
+    times_s, force_n = [0.0, 0.5, 1.5], [1.0, 2.0]
+    seen_mm3 = [
+        sensor.render(gaps, force_n, time_s=t).depth_mm.sum(axis=(1, 2), dtype=float) * area_mm2
+        for t in times_s
+    ]
+    for world in range(2):
+        log = {"trial": 4 * [0.0], "time_s": [-1e-3, *times_s],
+               "force_normal_n": [0.0, *3 * [force_n[world]]]}  # fmt: skip
+        expected_mm3 = CREEP.predict(log, simulate=True)[0][1:]
+        assert [row[world] for row in seen_mm3] == pytest.approx(expected_mm3, rel=1e-4)
+    assert seen_mm3[2][0] > 1.1 * seen_mm3[0][0]
+    sensor.reset([1])
+    after_mm3 = sensor.render(gaps, force_n, time_s=1.6).depth_mm.sum(axis=(1, 2)) * area_mm2
+    assert after_mm3[1] == pytest.approx(seen_mm3[0][1], rel=1e-3)
+    assert after_mm3[0] > seen_mm3[2][0]
+
+
+def test_arrays_come_out_as_they_went_in(pair):
+    torch = pytest.importorskip("torch")
+    import warp as wp
+
+    sensor, gaps = pair
+    rgb = sensor.render(gaps, [1.0, 2.0]).rgb.copy()
+    out = sensor.render(torch.from_numpy(gaps), torch.tensor([1.0, 2.0]), torch.zeros(2, 2))
+    assert isinstance(out.rgb, torch.Tensor)
+    assert (out.rgb.dtype, out.contact_mask.dtype) == (torch.uint8, torch.bool)
+    assert np.array_equal(out.rgb.numpy(), rgb)
+    # The sensor's own memory, which its next call writes to.
+    sensor.render(gaps, [0.0, 0.0])
+    assert not np.array_equal(out.rgb.numpy(), rgb)
+    assert isinstance(sensor.render(wp.array(gaps, device="cpu"), [1.0, 2.0]).rgb, wp.array)
+
+
+def test_jax_arrays(pair):
+    jax = pytest.importorskip("jax")
+    sensor, gaps = pair
+    rgb = sensor.render(gaps, [1.0, 2.0]).rgb.copy()
+    out = sensor.render(jax.numpy.asarray(gaps), jax.numpy.asarray([1.0, 2.0]))
+    assert isinstance(out.rgb, jax.Array)
+    assert np.array_equal(np.asarray(out.rgb), rgb)
+
+
+def with_nan(gaps):
+    gaps = gaps.copy()
+    gaps[1, 3, 4] = np.nan
+    return gaps
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda s, g: s.render(g[:1], [1.0, 1.0]), r"gap_mm has the shape \(1, 240, 320\); give"),
+        (lambda s, g: s.render(g.astype(float), [1, 1]), "gap_mm is of float64; convert it to fl"),
+        (
+            lambda s, g: s.render(np.zeros(g.shape, np.int32), 1),
+            "gap_mm is of int32; convert it to fl",
+        ),
+        (lambda s, g: s.render(g.astype(str), [1, 1]), "gap_mm is of <U32; convert it to numbers"),
+        (lambda s, g: s.render("gaps", [1, 1]), "gap_mm is a str; give a torch, JAX, Warp or Num"),
+        (lambda s, g: s.render(with_nan(g), [1, 1]), "world 1: the map holds NaN; use .inf where"),
+        (lambda s, g: s.render(g, [1.0, -1.0]), "world 1: force_n is negative or not finite; give"),
+        (lambda s, g: s.render(g, [np.nan, 1.0]), "world 0: force_n is negative or not finite"),
+        (lambda s, g: s.render(g, [1.0]), r"force_n has the shape \(1,\); give \(2,\)"),
+        (lambda s, g: s.render(g, ["a", "b"]), "force_n: could not convert string to float"),
+        (
+            lambda s, g: s.render(g, [1, 1], [[1, 0], [0, 0]]),
+            "shear moves the object, which a gap map",
+        ),
+        (lambda s, g: s.render(g, [1, 1], [1, 0]), r"shear_n has the shape \(2,\); give \(2, 2\)"),
+        (lambda s, g: s.render_depth(with_nan(g)), "world 1: the map holds NaN"),
+        (lambda s, g: s.render_meshes([0, 9], two_poses(), [1, 1]), "world 1: mesh_ids has an ind"),
+        (lambda s, g: s.render_meshes([0, 0], two_poses(2.0), [1, 1]), "world 1: the pose is no r"),
+        (lambda s, g: s.render_meshes([0.5, 0], two_poses(), [1, 1]), "mesh_ids: .* are no int64"),
+        (lambda s, g: s.reset([2]), "world_ids has 2; there are worlds 0 to 1"),
+        (lambda s, g: s.add_mesh((9 * np.eye(3), np.zeros((0, 3), int))), "the mesh has no faces"),
+    ],
+)
+def test_input_that_cannot_be(pair, change, message):
+    sensor, gaps = pair
+    if not sensor._renderer.n_meshes:
+        with pytest.raises(SensorError, match="there is no mesh yet; call add_mesh first"):
+            sensor.render_meshes([0, 0], two_poses(), [1, 1])
+        sensor.add_mesh(BALL)
+    with pytest.raises((SensorError, ContactError), match=message):
+        change(sensor, gaps)
+    # The next call is as if nothing had been.
+    assert sensor.render(gaps, [1.0, 1.0]).contact_mask.any()
+
+
+def two_poses(scale=1.0):
+    return np.stack([np.eye(4), np.diag([scale, scale, scale, 1.0])])
+
+
+def test_an_array_of_another_device(pair):
+    torch = pytest.importorskip("torch")
+    sensor, gaps = pair
+    with pytest.raises(SensorError, match="gap_mm cannot be read on cpu .*meta"):
+        sensor.render(torch.zeros(gaps.shape, device="meta"), [1.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"n": 0}, "n = 0: give the number of worlds"),
+        ({"n": 10**7}, r"\d+ worlds fit; give n = \d+"),
+        ({"device": "tpu"}, r"device = 'tpu' is not here \(Warp sees cpu"),
+        ({"markers": True}, "the sensor digit has no markers to draw"),
+    ],
+)
+def test_batches_that_cannot_be(options, message):
+    arguments = {"name": "digit", "n": 2, "device": "cpu"} | options
+    with pytest.raises(SensorError, match=message):
+        tacgen.BatchSensor(**arguments)
+
+
+def test_a_table_of_another_sensor(tmp_path):
+    with pytest.raises(TableError):
+        batch(table=tacgen.Sensor("digit").description.table)
+    effects = {"vignetting": {"strength": 0.2}}
+    with pytest.raises(TableError, match="draws no optical effect but shadows, .* has vignetting"):
+        batch(name=small_sensor(tmp_path, (60, 80), 0.1, effects=effects))
+
+
+def test_warp_is_not_there(monkeypatch):
+    monkeypatch.setattr("tacgen.core.optional_dependencies.find_spec", lambda name: None)
+    for needs_warp in (batch, lambda: list(batch_figures([1], "cpu", 5))):
+        with pytest.raises(
+            SensorError, match=r"warp, not installed .* `pip install 'tacgen\[batch"
+        ):
+            needs_warp()
+
+
+@pytest.mark.slow
+def test_figures_of_batches():
+    figures = {name: (value, unit) for name, value, unit, _ in batch_figures([2], "cpu", 5)}
+    sizes = "320x240", "640x480"
+    assert set(figures) == {
+        f"batch_2_{way}_ms_{size}" for way in ("meshes", "gap") for size in sizes
+    }
+    assert all(value > 0 and unit == "ms" for value, unit in figures.values())
