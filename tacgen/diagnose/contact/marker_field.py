@@ -46,6 +46,8 @@ class MarkerRules:
     """Of a press, in the choice: a place is tried in some hundred spots."""
     scan_mm: float = 1.5
     """Distance of those spots: half of a contact's radius."""
+    spots: int = 4
+    """Best ones, from which a place is fitted."""
     scan_radius_mm: float = 1.75
     """Of a place that is tried; it is fitted then."""
     excess: float = 2.5
@@ -334,8 +336,14 @@ def _with_place(
         for x, y in spots
         for one in values
     ]
-    best = min(tried, key=lambda slip: float(data.losses(slip, linear, fit).sum()))
-    found = fit_slip(data, fit, best, PLACE_NAMES)
+
+    def loss(slip: Slip) -> float:
+        return float(data.losses(slip, linear, fit).sum())
+
+    # One spot may lead into a valley of its own: the place is fitted from the best few.
+    starts = sorted(tried, key=loss)[: rules.spots]
+    fitted = [fit_slip(data, fit, one, PLACE_NAMES) for one in starts]
+    found = min(fitted, key=lambda one: data.losses(one, data.linear(one, fit), fit).sum())
     return fit_slip(data, fit, found, _free(chosen))
 
 
