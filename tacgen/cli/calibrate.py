@@ -217,10 +217,15 @@ def calibrate_contact(
     marker_pitch_mm: common.MarkerPitchOption = None,
     radius_mm: common.LogRadiusOption = None,
     table: common.LogTableOption = None,
+    markers: common.MarkersOption = None,
+    sensor: common.MarkerSensorOption = None,
     force: common.ForceFlag = False,
     json_output: common.JsonFlag = False,
 ) -> None:
-    """Fit the contact law (k_n, k_s) to a press log; prints intervals and held-out error."""
+    """Fit the contact law (k_n, k_s) to a press log; prints intervals and held-out error.
+
+    With marker tracks also friction and decay of the gel's shear field.
+    """
     from tacgen.calibrate.contact.command import calibrate_contact as calibrate
     from tacgen.calibrate.contact.command import result_text
     from tacgen.presses.lab_table import LogFormat
@@ -231,12 +236,14 @@ def calibrate_contact(
     result = calibrate(
         log, out, report, by=by, contact_point=contact_point, log_format=log_format,
         marker_pitch_mm=math.nan if marker_pitch_mm is None else marker_pitch_mm,
-        radius_mm=radius_mm, table=table,
+        radius_mm=radius_mm, table=table, markers=markers, sensor=sensor,
     )  # fmt: skip
     common.warn(result.warnings)
     typer.echo(result_text(result, json_output=json_output))
     options = [] if measured != log else log_format.arguments
     options += [] if radius_mm is None else ["--radius-mm", f"{radius_mm:g}"]
+    if markers is not None and sensor is not None:
+        options += ["--markers", str(markers), "--sensor", sensor]
     follow_up = ["tacgen diagnose contact", *map(quoted, [measured, *options]), "--out diagnosis"]
     common.hand_over(*common.contact_lines(out), " ".join(follow_up))
 
@@ -332,4 +339,7 @@ def rig(
         "images": [f"tacgen calibrate lookup {quoted(out)}/presses --out table.npz"],
         "log": [f"tacgen calibrate contact {quoted(out)}/press_log.csv --out contact.yaml"],
     }
+    if loaded.markers is not None:
+        tracks = f" --markers {quoted(out)}/markers.csv --sensor {quoted(loaded.sensor.name)}"
+        commands["log"] = [commands["log"][0] + tracks]
     common.hand_over(*commands.get(loaded.output, commands["images"] + commands["log"]))

@@ -176,6 +176,16 @@ FlipOption = Annotated[
 ]
 ForceUnitOption = Annotated[str | None, Option(help="If not newtons: n, mn, gf or kgf.")]
 LogRadiusOption = Annotated[float | None, Option(help="Ball of force-depth curves, mm.")]
+MarkersOption = Annotated[
+    Path | None,
+    Option(
+        help="Marker tracks of the presses: markers.csv, or a folder of press images with dots; "
+        "needs --sensor."
+    ),
+]
+MarkerSensorOption = Annotated[
+    str | None, Option("--sensor", help="With --markers: the sensor's name, or its YAML file.")
+]
 LogTableOption = Annotated[Path | None, Option(help="table.npz, to read volumes in images.")]
 
 

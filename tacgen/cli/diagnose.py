@@ -32,6 +32,8 @@ def diagnose_contact(
     radius_mm: common.LogRadiusOption = None,
     table: common.LogTableOption = None,
     marker_pitch_mm: common.MarkerPitchOption = None,
+    markers: common.MarkersOption = None,
+    sensor: common.MarkerSensorOption = None,
     grasp: Annotated[
         str | None,
         Option(
@@ -66,8 +68,9 @@ def diagnose_contact(
         loaded_rig = load_rig_recipe(rig)
     pitch_mm = math.nan if marker_pitch_mm is None else marker_pitch_mm
     diagnosis = diagnose_log(
-        log, out, marker_pitch_mm=pitch_mm, log_format=log_format, radius_mm=radius_mm, table=table
-    )
+        log, out, marker_pitch_mm=pitch_mm, log_format=log_format, radius_mm=radius_mm, table=table,
+        markers=markers, sensor=sensor,
+    )  # fmt: skip
     common.note(diagnosis.notes)
     if grasp is not None:
         from tacgen.collection.recipe import load_recipe
@@ -76,6 +79,7 @@ def diagnose_contact(
         laws = diagnosis.linear_law, diagnosis.law
         write_law_comparison(load_recipe(grasp), *laws, out / "grasp.html")
     sentences = [found.sentence for found in diagnosis.channels.values()]
+    sentences += [diagnosis.markers.sentence] if diagnosis.markers else []
     common.print_result(diagnosis_record(diagnosis), sentences, json_output)
     common.hand_over(*common.contact_lines(out / "contact.yaml"))
     proposals.unlink(missing_ok=True)  # those of an earlier diagnosis

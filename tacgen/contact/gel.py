@@ -20,6 +20,17 @@ def pixel_centers_mm(sensor: Sensor) -> tuple[FloatArray, FloatArray]:
     return x_mm, y_mm
 
 
+def px_to_mm(places_px: FloatArray, shape_px: tuple[int, int], mm_per_px: float) -> FloatArray:
+    """Columns and rows (…, 2) of a picture (height, width) as places x, y in the gel frame, mm."""
+    middle = np.array(shape_px[::-1]) / 2 - 0.5
+    return np.asarray((places_px - middle) * mm_per_px)
+
+
+def mm_to_px(places_mm: FloatArray, shape_px: tuple[int, int], mm_per_px: float) -> FloatArray:
+    """Places x, y (…, 2) in the gel frame, mm, as columns and rows of a picture."""
+    return np.asarray(places_mm / mm_per_px + np.array(shape_px[::-1]) / 2 - 0.5)
+
+
 def gel_size_mm(sensor: Sensor) -> tuple[float, float]:
     """Width and height of the whole gel, at least those of the window, mm."""
     window = sensor.width_px * sensor.mm_per_px, sensor.height_px * sensor.mm_per_px

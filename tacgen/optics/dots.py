@@ -31,6 +31,7 @@ MAX_UNEVEN = 0.25
 MERGED_AREA = 4.0
 """A dark spot in a press of more than so many dots' area is the shade of the contact."""
 
+LEAST_SEEN = 0.8  # of a gel's dots: with fewer in a picture they are not followed, or another gel's
 MIN_TRACKED = 4  # dots whose motion tells a shear from the noise of one
 
 

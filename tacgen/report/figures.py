@@ -134,6 +134,40 @@ def intervals(
     return figure
 
 
+def arrows(
+    rows: Sequence[tuple[str, Array, Array, Array]], window_mm: tuple[float, float]
+) -> Figure:
+    """Motion of markers, a row a frame: measured, model, and their difference.
+
+    A row is a title, places at rest, measured and modelled motion (n, 2), mm; the window's width
+    and height in mm. Arrows of the difference are longer, by a factor that the panel states.
+    """
+    figure, grid = new_figure(10.5, 0.4 + 2.7 * len(rows), len(rows), 3, sharex=True, sharey=True)
+    width, height = window_mm
+    for axes, (title, places, measured, model) in zip(grid, rows, strict=True):
+        left = measured - model
+        length = max(float(np.nanmax(np.hypot(*measured.T))), 1e-9)
+        magnified = 0.08 * width / length
+        largest = max(float(np.nanmax(np.hypot(*left.T))), 1e-12)
+        more = max(1.0, float(f"{length / largest:.1g}"))
+        names = (f"{title}: measured", "model", f"difference × {more:g}")
+        for panel, name, motion, color, factor in zip(
+            axes, names, (measured, model, left), (INK, ACCENT, BAD), (1.0, 1.0, more), strict=True
+        ):
+            seen = np.isfinite(motion).all(axis=1)
+            panel.quiver(
+                *places[seen].T, *(magnified * factor * motion[seen]).T, color=color,
+                angles="xy", scale_units="xy", scale=1.0, width=0.005,
+            )  # fmt: skip
+            panel.set_title(name, fontsize=9)
+            panel.set(xlim=(-width / 2, width / 2), ylim=(height / 2, -height / 2), aspect="equal")
+    for axes in grid:
+        axes[0].set_ylabel("y, mm")
+    for panel in grid[-1]:
+        panel.set_xlabel("x, mm")
+    return figure
+
+
 def columns(values: Mapping[str, float], line: float, labels: tuple[str, str]) -> Figure:
     """A bar for each name, in their order, and a line across."""
     figure, grid = new_figure(9.5, 2.8)

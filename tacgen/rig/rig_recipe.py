@@ -21,7 +21,7 @@ from tacgen.contact.effects import Where, find_effect
 from tacgen.core.config import Located, Section
 from tacgen.core.errors import ContactError
 from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N
-from tacgen.core.yaml_source import YamlSource, load_checked
+from tacgen.core.yaml_source import KeyPath, YamlSource, load_checked
 from tacgen.sensor.description import SensorByName, SensorChoice, sensor_problems
 
 
@@ -165,6 +165,38 @@ class Images(Section):
     """Strength of shadows."""
 
 
+class FrictionPlace(Section):
+    """A round place of the gel with another friction."""
+
+    x_mm: FiniteFloat = 0.0
+    """Its middle along x, gel frame."""
+    y_mm: FiniteFloat = 0.0
+    """Its middle along y, gel frame."""
+    radius_mm: PositiveFloat = 2.0
+    """Its radius."""
+    friction: PositiveFloat = 0.2
+    """Coulomb's coefficient there."""
+
+
+class MarkerTracks(Section):
+    """Tracks of the gel's dots, in markers.csv."""
+
+    rate_hz: PositiveFloat = 5.0
+    """Frames per second."""
+    noise_mm: NonNegativeFloat = 0.004
+    """Standard deviation of a dot's place, along each axis."""
+    decay_mm: PositiveFloat = 1.5
+    """How far the gel's motion reaches beside the contact."""
+    friction: PositiveFloat | None = None
+    """Coulomb's coefficient, by which the contact slips in part; null: all of it sticks."""
+    place: FrictionPlace | None = None
+    """A place with another friction."""
+    grid_turn_deg: FiniteFloat = 0.0
+    """By how much the dots are printed turned, from x to y."""
+    grid_shift_mm: tuple[FiniteFloat, FiniteFloat] = (0.0, 0.0)
+    """By how much they are printed beside their places."""
+
+
 def _effect(given: Any) -> Any:
     return {"name": given, "strength": 2.0} if isinstance(given, str) else given
 
@@ -203,6 +235,8 @@ class RigRecipe(Section):
     """Effects of the contact law: names (strength 2), or sections with a name."""
     images: Images = Images()
     """Press images."""
+    markers: MarkerTracks | None = None
+    """Marker tracks; null: none are written."""
 
 
 def load_rig_recipe(name: str | Path) -> RigRecipe:
@@ -218,7 +252,8 @@ def _name_problems(recipe: RigRecipe, source: YamlSource) -> Iterable[str]:
         yield source.problem(("indenters",), "is empty; give at least one ball")
     names = [indenter.name for indenter in recipe.indenters]
     yield from source.repeated("indenters", names, "rename one")
-    markers = ("images", "markers") if recipe.images.markers else None
+    drawn: KeyPath | None = ("images", "markers") if recipe.images.markers else None
+    markers = drawn or (("markers",) if recipe.markers else None)
     yield from sensor_problems(recipe.sensor, source, markers)
 
 

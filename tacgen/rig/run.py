@@ -15,11 +15,13 @@ from tacgen.core.version import __version__
 from tacgen.optics.table import load_table
 from tacgen.rig.effects import SessionTruth, true_response
 from tacgen.rig.images import LAST, write_images
+from tacgen.rig.markers import marker_tracks
 from tacgen.rig.rig_recipe import RigRecipe
 from tacgen.rig.schedule import NOISE, press_rng, true_session
 from tacgen.sensor.description import load_sensor
 
 DECIMALS = 6  # below any sensor's resolution
+MARKER_DECIMALS = 3  # of a pixel
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +44,8 @@ def simulate_session(recipe: RigRecipe) -> Session:
 def run_rig(recipe: RigRecipe, out: Path, *, force: bool = False) -> list[Path]:
     """Write the recipe's session into ``out``; returns what was written.
 
-    ``press_log.csv`` (unless only images are wanted), ``presses/`` with ``background.png``, one
+    ``press_log.csv`` (unless only images are wanted), ``markers.csv`` where the recipe asks for
+    tracks, ``presses/`` with ``background.png``, one
     image a line of ``presses.csv`` and ``sensor.yaml`` (unless only a log is), and
     ``truth.yaml``, the law that the gel really has, in the form of a ``contact.yaml``. A session
     that was interrupted is finished.
@@ -51,6 +54,7 @@ def run_rig(recipe: RigRecipe, out: Path, *, force: bool = False) -> list[Path]:
     """
     out = Path(out)
     truth, log, presses = out / "truth.yaml", out / "press_log.csv", out / "presses"
+    tracks = out / "markers.csv"
     session = simulate_session(recipe)
     sensor = load_sensor(recipe.sensor, needs_table=False)
     pitch_mm = sensor.markers.pitch_mm if sensor.markers else np.nan
@@ -61,13 +65,24 @@ def run_rig(recipe: RigRecipe, out: Path, *, force: bool = False) -> list[Path]:
     if is_begun:
         print_status(f"{out}: finishes the session that was interrupted")
     else:
-        refuse_foreign(out, truth.name, [log.name, presses.name])
+        refuse_foreign(out, truth.name, [log.name, tracks.name, presses.name])
         refuse_existing(force, truth)
         # What is there of another session must not be taken for this one's.
-        for path in (presses / LAST, log, *presses.glob("press_*.png"), presses / "presses.csv"):
+        for path in (
+            presses / LAST,
+            log,
+            tracks,
+            *presses.glob("press_*.png"),
+            presses / "presses.csv",
+        ):
             path.unlink(missing_ok=True)
         save_law(law, truth)
     written = [truth]
+    if recipe.markers is not None:
+        found = marker_tracks(recipe, sensor, session.true_columns)
+        with atomic_path(tracks) as partial:
+            found.round(MARKER_DECIMALS).to_csv(partial, index=False)
+        written.append(tracks)
     if recipe.output != "images":
         with atomic_path(log) as partial:
             session.log.round(DECIMALS).to_csv(partial, index=False)

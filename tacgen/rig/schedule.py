@@ -17,8 +17,9 @@ from tacgen.rig.rig_recipe import RigRecipe, Temperature
 
 Columns = dict[str, NDArray[Any]]
 
-PRESS, NOISE, CAMERA, ORDER = range(4)
-"""Streams of random numbers: a press's course, its samples' noise, its camera, a round's order."""
+PRESS, NOISE, CAMERA, ORDER, MARKERS = range(5)
+"""Streams of random numbers: a press's course, its samples' noise, its camera, a round's order, its
+dots' noise."""
 
 
 def press_rng(recipe: RigRecipe, press: int, stream: int) -> np.random.Generator:

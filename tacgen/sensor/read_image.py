@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -11,14 +11,25 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import brentq, least_squares
+from scipy.spatial import cKDTree
 
+from tacgen.contact.gel import mm_to_px, px_to_mm
 from tacgen.contact.law import ContactLaw
+from tacgen.contact.shear import marker_grid_mm
 from tacgen.core.errors import SensorError, TableError
 from tacgen.core.files import atomic_path
 from tacgen.core.images import encode_png
 from tacgen.core.records import Estimate
 from tacgen.core.safe_io import read_rgb
-from tacgen.optics.dots import MIN_TRACKED, dots_at_rest, dots_in, find_spots, follow
+from tacgen.optics.dots import (
+    LEAST_SEEN,
+    MIN_TRACKED,
+    Dots,
+    dots_at_rest,
+    dots_in,
+    find_spots,
+    follow,
+)
 from tacgen.optics.reconstruct import Reconstructor
 from tacgen.sensor.gel_response import LOAD, ONSET_S
 from tacgen.sensor.simulated import Frame, Sensor
@@ -37,12 +48,19 @@ Picture: TypeAlias = NDArray[np.uint8] | str | Path
 """An image (H, W, 3), RGB uint8, or the path of its file."""
 
 
+def _no_markers() -> NDArray[np.float64]:
+    return np.zeros((0, 2))
+
+
 @dataclass(frozen=True, slots=True)
 class Reading(Frame):
     """What a picture says of the contact: a frame, with standard errors.
 
-    Without printed dots ``shear_sum_mm`` (2,), the sum of their motion, and the shear forces with
-    their errors are NaN. ``message`` is what the user should know (no contact, walls too steep).
+    ``markers_mm`` (M, 2) is how far each printed dot is from ``marker_rest_mm`` (M, 2), its place
+    at rest in the gel frame, in the order of the sensor's grid where all of its dots are found;
+    ``markers_lost`` of them were not seen and move as their neighbours. Without printed dots they
+    are (0, 2), and ``shear_sum_mm`` (2,), the sum of their motion, and the shear forces with their
+    errors NaN. ``message`` is what the user should know (no contact, walls too steep).
     ``steep_share`` is the share of the contact that is at the steepest slope of the table; where
     ``lower_bound``, depth, volume and force are at least what stands here, and their errors do not
     hold what is missing.
@@ -54,6 +72,9 @@ class Reading(Frame):
     message: str
     steep_share: float = 0.0
     lower_bound: bool = False
+    markers_mm: NDArray[np.float64] = field(default_factory=_no_markers)
+    marker_rest_mm: NDArray[np.float64] = field(default_factory=_no_markers)
+    markers_lost: int = 0
 
     def summary(self) -> dict[str, Any]:
         """The numbers alone, ready for JSON: None for what is not known."""
@@ -73,6 +94,8 @@ class Reading(Frame):
         return {
             "contact": bool(self.contact_mask.any()),
             **known,
+            "markers": len(self.markers_mm),
+            "markers_lost": self.markers_lost,
             "message": self.message,
             "steep_share": round(self.steep_share, 4),
             "lower_bound": self.lower_bound,
@@ -94,12 +117,14 @@ class ImageReader:
         at_rest = self.sensor.at_rest_rgb() if background_rgb is None else background_rgb
         self._background = self._checked(at_rest, "the background")
         dome_mm = self.sensor.description.dome_radius_mm
+        self._scale = self.sensor.table.shape_px, self.sensor.table.mm_per_px
         self._reconstructor = Reconstructor(self.sensor.table, self._background, dome_mm)
         spots = find_spots(self._background)
         self._dots = spots.mask(spots.usable) if spots.usable.sum() >= MIN_TRACKED else None
-        self._pitch_mm = math.nan
+        self._pitch_mm, self._at_rest = math.nan, None
         if self._dots is not None:
-            spacing_mm = dots_at_rest(self._background).spacing_px * self.sensor.table.mm_per_px
+            self._at_rest = self._in_grid(dots_at_rest(self._background))
+            spacing_mm = self._at_rest.spacing_px * self.sensor.table.mm_per_px
             markers = self.sensor.description.markers
             self._pitch_mm = markers.pitch_mm if markers else spacing_mm
 
@@ -122,7 +147,14 @@ class ImageReader:
         pixel_mm2 = self.sensor.table.mm_per_px**2
         depth = depth * (volume / max(float(depth.sum()) * pixel_mm2, 1e-12))
         touched = depth > 0
-        shear, places = self._shear(rgb)
+        motion, rest, lost = self._motion(rgb)
+        shear, places, unseen = np.full(2, math.nan), None, ""
+        if len(rest):
+            places = np.asarray(mm_to_px(rest + motion, *self._scale), np.float64)
+            if lost > (1.0 - LEAST_SEEN) * len(rest):
+                unseen = f"{lost} of {len(rest)} dots are not seen: the shear is not known"
+            else:
+                shear = motion.sum(axis=0)
         reading = Reading(
             rgb=rgb,
             depth_mm=depth.astype(np.float32),
@@ -136,13 +168,17 @@ class ImageReader:
             shear_sum_mm=shear,
             message="",
             status=contact_status(1.0, touches=bool(touched.any())),
+            markers_mm=motion,
+            marker_rest_mm=rest,
+            markers_lost=lost,
         )
         if not touched.any():
             none = f"no contact: the gel is nowhere deeper than {LEAST_DEPTH_MM} mm"
             return replace(reading, message=none)
-        reading = _with_forces(
-            reading, self.sensor.law, self.sensor.table.mm_per_px, self._pitch_mm
-        )
+        pitch_mm = math.nan if unseen else self._pitch_mm
+        reading = _with_forces(reading, self.sensor.law, self.sensor.table.mm_per_px, pitch_mm)
+        message = "; ".join(filter(None, (reading.message, unseen)))
+        reading = replace(reading, message=message)
         reading = replace(reading, steep_share=shape.steepest_share)
         if not shape.is_lower_bound:
             return reading
@@ -155,16 +191,29 @@ class ImageReader:
         message = "; ".join(filter(None, (reading.message, steep)))
         return replace(reading, message=message, lower_bound=True)
 
-    def _shear(
+    def _in_grid(self, dots: Dots) -> Dots:
+        """The dots at rest in the order of the sensor's grid, where they are all of its dots."""
+        grid = marker_grid_mm(self.sensor.description)
+        if self.sensor.description.markers is None or len(dots) != len(grid):
+            return dots
+        _, index = cKDTree(px_to_mm(dots.places_px, *self._scale)).query(grid)
+        return (
+            replace(dots, places_px=dots.places_px[index]) if len({*index}) == len(grid) else dots
+        )
+
+    def _motion(
         self, rgb: NDArray[np.uint8]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
-        """Sum of the dots' motion (2,), mm, and where they are (n, 2), px."""
-        if self._dots is None:
-            return np.full(2, math.nan), None
-        dots = dots_at_rest(self._background)
-        motion, _ = follow(dots, [rgb])
-        sum_mm = motion[0].sum(axis=0) * self.sensor.table.mm_per_px
-        return sum_mm, np.asarray(dots.places_px + motion[0], np.float64)
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
+        """Motion of the dots (M, 2), mm, their places at rest, and how many were not seen."""
+        if self._at_rest is None:
+            return _no_markers(), _no_markers(), 0
+        motion, seen = follow(self._at_rest, [rgb])
+        moved_mm = np.asarray(motion[0] * self.sensor.table.mm_per_px, np.float64)
+        return (
+            moved_mm,
+            np.asarray(px_to_mm(self._at_rest.places_px, *self._scale), np.float64),
+            len(self._at_rest) - int(seen[0]),
+        )
 
     def _checked(self, picture: Picture, what: str) -> NDArray[np.uint8]:
         if isinstance(picture, (str, Path)):
@@ -227,9 +276,10 @@ def read_image(
 def read_files(reader: ImageReader, paths: Sequence[Path], out: Path) -> list[dict[str, Any]]:
     """Read image files and write what they show into the folder ``out``; returns the rows.
 
-    ``readings.csv`` has one row an image; ``<name>.npz`` holds ``depth_mm`` and ``contact_mask``,
-    ``<name>_depth.png`` shows the depth, white at the deepest. Where files of several folders have
-    one name, the name of the folder stands before it.
+    ``readings.csv`` has one row an image; ``<name>.npz`` holds ``depth_mm``, ``contact_mask`` and,
+    where the picture has dots, ``markers_mm`` with ``marker_rest_mm``; ``<name>_depth.png`` shows
+    the depth, white at the deepest. Where files of several folders have one name, the name of the
+    folder stands before it.
 
     Raises ``SensorError`` if a file is no image, two have one name nevertheless, or one does not
     fit the sensor; nothing is then written.
@@ -248,7 +298,7 @@ def read_files(reader: ImageReader, paths: Sequence[Path], out: Path) -> list[di
     for path, name, reading in zip(paths, names, readings, strict=True):
         rows.append({"file": name + path.suffix, **reading.summary()})
         with atomic_path(out / f"{name}.npz") as partial, partial.open("wb") as file:
-            np.savez_compressed(file, depth_mm=reading.depth_mm, contact_mask=reading.contact_mask)
+            np.savez_compressed(file, allow_pickle=False, **_arrays(reading))
         brightness = 255.0 * reading.depth_mm / max(reading.indentation_mm, LEAST_DEPTH_MM)
         grey = np.repeat(np.rint(brightness).astype(np.uint8)[..., None], 3, axis=2)
         with atomic_path(out / f"{name}_depth.png") as partial:
@@ -256,6 +306,17 @@ def read_files(reader: ImageReader, paths: Sequence[Path], out: Path) -> list[di
     with atomic_path(out / "readings.csv") as partial:
         pd.DataFrame(rows).to_csv(partial, index=False)
     return rows
+
+
+def _arrays(reading: Reading) -> dict[str, NDArray[Any]]:
+    """What the ``.npz`` of a picture holds; of the dots only where it has them."""
+    arrays: dict[str, NDArray[Any]] = {
+        "depth_mm": reading.depth_mm,
+        "contact_mask": reading.contact_mask,
+    }
+    if len(reading.markers_mm):
+        arrays |= {"markers_mm": reading.markers_mm, "marker_rest_mm": reading.marker_rest_mm}
+    return arrays
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
@@ -281,7 +342,13 @@ def reading_line(row: dict[str, Any]) -> str:
         return f"{text}{row['message']}"
     text += f"force {at_least}{row['force_normal_n']:.2f} ± {row['force_normal_stderr_n']:.2f} N"
     if row["force_shear_x_n"] is not None:
-        text += f", shear {row['force_shear_x_n']:.2f}, {row['force_shear_y_n']:.2f} N"
+        x, y = (
+            f"{row[f'force_shear_{axis}_n']:.2f} ± {row[f'force_shear_{axis}_stderr_n']:.2f}"
+            for axis in "xy"
+        )
+        text += f", shear {x}, {y} N"
+    elif not row["markers"]:
+        text += ", no dots: shear not known"
     return f"{text}; {row['message']}" if row["message"] else text
 
 

@@ -18,6 +18,7 @@ from tacgen.core.resources import packaged
 from tacgen.presses.press_log import read_press_log
 from tacgen.rig import RigRecipe, load_rig_recipe, run_rig, simulate_session
 from tacgen.rig.rig_recipe import RigEffect
+from tacgen.sensor.description import load_sensor
 
 RECIPES = sorted(packaged("recipes").glob("rig*.yaml"))
 SHEAR_FORCES = ["force_shear_x_n", "force_shear_y_n"]
@@ -202,3 +203,39 @@ def test_another_seed_is_another_session(tmp_path):
         assert result.exit_code == 0, result.output
     logs = [(tmp_path / name / "press_log.csv").read_bytes() for name in "abc"]
     assert logs[0] != logs[1] == logs[2]
+
+
+def test_marker_tracks_sum_to_the_shear_force_and_are_the_same_twice(tmp_path):
+    given = load_rig_recipe("rig_markers")
+    schedule = given.schedule.model_copy(update={"presses": 2})
+    markers = given.markers.model_copy(
+        update={"noise_mm": 0.0, "grid_turn_deg": 0.0, "rate_hz": 2.0}
+    )
+    changed = given.model_copy(update={"schedule": schedule, "markers": markers})
+    written = run_rig(changed, tmp_path / "a")
+    assert [path.name for path in written] == ["truth.yaml", "markers.csv", "press_log.csv"]
+    run_rig(changed, tmp_path / "b")
+    first, again = ((tmp_path / one / "markers.csv").read_bytes() for one in "ab")
+    assert first == again
+    tracks = pd.read_csv(tmp_path / "a" / "markers.csv")
+    log = pd.read_csv(tmp_path / "a" / "press_log.csv")
+    scale = load_sensor(given.sensor, needs_table=False).mm_per_px
+    for press, own in tracks.groupby("press"):
+        places = own.pivot(index="frame", columns="marker", values=["x_px", "y_px"]).to_numpy()
+        motion = (places - places[0]).reshape(len(places), 2, -1).sum(axis=2) * scale
+        samples = log[log["trial"] == press].iloc[own["frame"].unique()]
+        force = samples[SHEAR_FORCES].to_numpy()
+        top = np.hypot(*force.T).argmax()
+        normal = samples["force_normal_n"].to_numpy()
+        held = np.flatnonzero((normal > 0.95 * normal.max()) & (np.hypot(*force.T) < 0.05))[0]
+        # However it slips, the sum is k_s F, beside what the indentation moves.
+        wanted = given.law.k_s_mm_per_n * force[top]
+        np.testing.assert_allclose(
+            motion[top] - motion[held], wanted, atol=0.05 * np.hypot(*wanted)
+        )
+
+
+def test_a_rig_without_dots_writes_no_tracks(tmp_path):
+    text = "extends: rig\nsensor: digit\nmarkers: {friction: 0.5}\n"
+    with pytest.raises(RecipeError, match="has no markers"):
+        load_rig_recipe(written(text, tmp_path))

@@ -18,6 +18,7 @@ from tacgen.calibrate.lookup.table_fit import fit_lookup
 from tacgen.cli import app
 from tacgen.contact import gel_map_mm
 from tacgen.contact.law import ContactLaw, FittedEffect
+from tacgen.contact.shear import marker_grid_mm
 from tacgen.core.errors import SensorError, TableError
 from tacgen.core.images import encode_png
 from tacgen.core.records import ContactFrame, Estimate
@@ -152,6 +153,30 @@ def test_shear_from_dots(rig, sensor):
     # 63 dots, each to about a tenth of a pixel: 0.05 mm of the sum, and as much of lost ones.
     np.testing.assert_allclose(found.force_n[:2], shear_n, atol=0.15)
     assert found.force_n[2] == pytest.approx(3.0, rel=0.07)
+    assert (found.force_stderr_n[:2] < 0.15).all()
+    # Each dot, in the order of the sensor's grid, moved as the rig moved it: to 0.1 px, and a few
+    # at the contact's rim, where the light changes, to half a pixel.
+    at_rest = marker_grid_mm(description)
+    off = np.hypot(*(found.markers_mm - (contact.markers_mm - at_rest)).T) / description.mm_per_px
+    assert np.median(off) < 0.1
+    assert off.max() < 1.0
+    np.testing.assert_allclose(found.marker_rest_mm, at_rest, atol=0.1 * description.mm_per_px)
+    np.testing.assert_allclose(found.markers_mm.sum(axis=0), found.shear_sum_mm)
+    assert found.markers_lost == 0
+
+
+@pytest.mark.slow
+def test_dots_that_a_picture_does_not_show_are_counted_and_give_no_shear(rig, sensor):
+    """The dots of a strip of the picture are gone."""
+    description, plain, camera = rig
+    reader = ImageReader(sensor, camera.take(None, np.random.default_rng(0)))
+    contact = press_ball(description, 6.0, (2.0, 0.0), K_N * 3.0, np.zeros(2))
+    picture = camera.take(contact, np.random.default_rng(1))
+    picture[:, :100] = plain.take(contact, np.random.default_rng(1))[:, :100]
+    found = reader.read(picture)
+    assert found.markers_lost >= 14
+    assert np.isnan(found.force_n[:2]).all()
+    assert "dots are not seen: the shear is not known" in found.message
 
 
 @pytest.mark.slow
@@ -466,6 +491,8 @@ def test_the_command_writes_readings_and_depth_maps(rig, sensor, tmp_path):
     press, rest = json.loads(result.stdout)
     assert press["volume_mm3"] == pytest.approx(10.0, rel=0.05)
     assert press["force_shear_x_n"] is None
+    assert press["markers"] == 0
+    assert "no dots: shear not known" in reading_line(press)
     assert rest["force_normal_n"] == 0.0
     assert "no contact" in rest["message"]
     listed = pd.read_csv(out / "readings.csv")

@@ -12,6 +12,7 @@ import numpy as np
 from tacgen.calibrate.contact import depth_curves
 from tacgen.calibrate.contact.contact_point import free_contact_points
 from tacgen.calibrate.contact.law_fit import ContactFit, fit_contact, summary_dict, summary_text
+from tacgen.calibrate.contact.marker_fit import FieldFit, field_data, fit_field, load_tracks
 from tacgen.calibrate.lookup.table_fit import fit_lookup
 from tacgen.contact.law import ContactLaw, save_law
 from tacgen.core.errors import PressError
@@ -38,6 +39,7 @@ class ContactCalibration:
     fit: ContactFit | depth_curves.DepthReport
     law: ContactLaw
     warnings: tuple[str, ...]
+    field: FieldFit | None = None
 
 
 def calibrate_contact(
@@ -51,11 +53,15 @@ def calibrate_contact(
     marker_pitch_mm: float = np.nan,
     radius_mm: float | None = None,
     table: Path | None = None,
+    markers: Path | None = None,
+    sensor: str | None = None,
 ) -> ContactCalibration:
     """Fit ``log``, write the law to ``out`` and, where asked for, a page into ``report``.
 
     ``log`` is a press log, a table of force–depth curves, or a folder of press images with
     forces; of the last, ``table`` turns pictures into volumes, and the log is kept beside the law.
+    ``markers`` are tracks of the dots of ``sensor``, a CSV file or such a folder: they give k_s,
+    friction and decay of the shear field.
 
     Raises ``PressError`` if the log cannot be used or an option is not known.
     """
@@ -72,6 +78,9 @@ def calibrate_contact(
             marker_pitch_mm = found.marker_pitch_mm
     table_read = read_log_table(Path(log), log_format)
     if depth_curves.holds_depths(table_read):
+        if markers is not None:
+            msg = f"{log}: --markers needs a log with volume_mm3 and shear forces, not of depths"
+            raise PressError(msg)
         return _explain_depths(table_read, Path(out), report, radius_mm)
     fit = fit_contact(
         press_log_of(table_read),
@@ -83,13 +92,32 @@ def calibrate_contact(
     k_n = fit.normal.pooled
     k_n = replace(k_n, stderr=math.hypot(k_n.stderr, volume_share * k_n.value))
     warnings = (*measured, *fit.warnings)
+    field = data = None
+    if markers is not None:
+        gel, tracks = load_tracks(markers, sensor, fit.log)
+        data = field_data(tracks, gel, k_n.value)
+        field = fit_field(data)
+        warnings = (*warnings, *tracks.warnings)
     fit = replace(fit, normal=replace(fit.normal, pooled=k_n), warnings=warnings)
-    save_law(fit.law, out)
+    law = fit.law
+    if field is not None and data is not None:
+        law = replace(
+            law,
+            k_s_mm_per_n=field.k_s,
+            marker_pitch_mm=data.tracks.pitch_mm,
+            friction=field.friction,
+            decay_mm=field.decay,
+            provenance={
+                **law.provenance,
+                "markers": {data.tracks.path.name: sha256_of(data.tracks.path)},
+            },
+        )
+    save_law(law, out)
     if report is not None:
         from tacgen.calibrate.contact.report import write_report
 
-        write_report(fit, report)
-    return ContactCalibration(fit, fit.law, fit.warnings)
+        write_report(fit, report, field, data)
+    return ContactCalibration(fit, law, fit.warnings, field)
 
 
 def read_contact_log(
@@ -163,6 +191,10 @@ def result_text(result: ContactCalibration, *, json_output: bool) -> str:
     """What the command prints."""
     if isinstance(result.fit, ContactFit):
         record, text = summary_dict(result.fit), summary_text
+        if result.field is not None and json_output:
+            record["field"] = result.field.summary()
+        elif result.field is not None:
+            return f"{text(record)}\n{result.field.sentence()}"
     else:
         record, text = asdict(result.fit), depth_curves.depth_text
     return json.dumps(record, indent=2) if json_output else text(record)

@@ -17,6 +17,7 @@ from tacgen.calibrate.contact.law_fit import (
     half_width,
     summary_dict,
 )
+from tacgen.calibrate.contact.marker_fit import FieldData, FieldFit, arrow_figure
 from tacgen.presses.press_log import PressLog
 from tacgen.report import figures as plots
 from tacgen.report.formatting import percent, unit_text, with_error
@@ -26,8 +27,13 @@ MAX_WORST = 8  # presses in the table of the largest held-out errors
 RESPONSES = {"normal": "V", "shear": "D"}
 
 
-def write_report(fit: ContactFit, folder: Path) -> Path:
-    """Write ``contact.html`` into ``folder``; it needs no network."""
+def write_report(
+    fit: ContactFit,
+    folder: Path,
+    field: FieldFit | None = None,
+    data: FieldData | None = None,
+) -> Path:
+    """Write ``contact.html`` into ``folder``, with the shear field of marker tracks if there is."""
     result = summary_dict(fit)
     figures, worst, verdicts = {}, {}, []
     for name, channel in result["channels"].items():
@@ -56,6 +62,8 @@ def write_report(fit: ContactFit, folder: Path) -> Path:
         advice=[f"{cannot_tell}; {press_next}" for cannot_tell, press_next in limits],
         agreement_text=agreement_text,
         half_width=half_width,
+        field=field,
+        arrows=arrow_figure(data, field.slip, field.linear) if field and data else None,
     )
     return path
 

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from tacgen.calibrate.contact.command import read_contact_log
+from tacgen.calibrate.contact.marker_fit import load_tracks
+from tacgen.calibrate.contact.rest_zero import without_zero
 from tacgen.contact.effects import CHANNELS, Channel
 from tacgen.contact.law import PLAIN_UNITS, ContactLaw, FittedEffect, save_law
 from tacgen.core.errors import PressError
@@ -22,6 +24,7 @@ from tacgen.core.workers import map_in_processes
 from tacgen.diagnose.contact import heldout, result
 from tacgen.diagnose.contact.channel import TARGETS, ChannelData, ChannelSamples, noise_floor
 from tacgen.diagnose.contact.heldout import Errors
+from tacgen.diagnose.contact.marker_field import diagnose_markers
 from tacgen.diagnose.contact.model import Fit, Model, fit_model, standard_errors, without_noise_bias
 from tacgen.diagnose.contact.residuals import Dependence, dependences
 from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
@@ -44,10 +47,13 @@ def diagnose_log(
     log_format: LogFormat = PLAIN,
     radius_mm: float | None = None,
     table: Path | None = None,
+    markers: Path | None = None,
+    sensor: str | None = None,
 ) -> result.Diagnosis:
     """Diagnose the press log at ``path``; write diagnosis.json, contact.yaml and report.html.
 
-    All that ``calibrate_contact`` reads is read: logs, force–depth curves, images with forces.
+    All that ``calibrate_contact`` reads is read: logs, force–depth curves, images with forces, and
+    ``markers``, tracks of the dots of ``sensor``, whose field is then a channel of its own.
 
     Raises ``PressError`` if the log cannot be used; the message says what and where.
     """
@@ -60,6 +66,12 @@ def diagnose_log(
     diagnosis = diagnose(log.columns, notes=result.log_notes(log), session_clock=log.session_clock)
     provenance = {"data_sha256": {path.name: log.sha256}, **diagnosis.law.provenance}
     law = replace(diagnosis.law, marker_pitch_mm=marker_pitch_mm, provenance=provenance)
+    if markers is not None:
+        known, tracks = load_tracks(markers, sensor, without_zero(log))
+        found = diagnose_markers(tracks, known, law.k_n_mm3_per_n.value)
+        notes = (*diagnosis.notes, *tracks.warnings)
+        diagnosis = replace(diagnosis, notes=notes, markers=found)
+        law = found.extended(law)
     diagnosis = replace(diagnosis, law=law)
     save_law(law, out / "contact.yaml")
     write_report(diagnosis, out / "report.html", title=f"Diagnosis of {path.name}")

@@ -44,6 +44,9 @@ def write_report(diagnosis: Diagnosis, path: Path, *, title: str) -> None:
             name: _residual_figure(channels[name], found)
             for name, found in diagnosis.channels.items()
         },
+        arrows=None
+        if diagnosis.markers is None
+        else [diagnosis.markers.figure(extended=one) for one in (False, True)],
     )
 
 

@@ -13,6 +13,7 @@ from tacgen.contact.law import PLAIN_UNITS, ContactLaw
 from tacgen.diagnose.contact.candidates import follows_load, known_columns, max_levels
 from tacgen.diagnose.contact.channel import OUTLIER_SIGMAS, ChannelData
 from tacgen.diagnose.contact.heldout import Errors
+from tacgen.diagnose.contact.marker_field import MarkerDiagnosis
 from tacgen.diagnose.contact.model import Fit, StandardErrors, Term
 from tacgen.diagnose.contact.residuals import Dependence
 from tacgen.diagnose.contact.search import Attribution, Chosen
@@ -126,13 +127,15 @@ _LAW_WORDS = {"normal": "V = k_n F_n", "shear": "D = k_s F_s"}
 class Diagnosis:
     """All channels of a log, the law that came of it, and what the reader should know.
 
-    ``session_clock``: whether the log's ``time_s`` runs on from trial to trial.
+    ``session_clock``: whether the log's ``time_s`` runs on from trial to trial. ``markers`` is of
+    the field of marker tracks, if they were given.
     """
 
     channels: Mapping[str, ChannelDiagnosis]
     law: ContactLaw
     notes: tuple[str, ...]
     session_clock: bool = True
+    markers: MarkerDiagnosis | None = None
 
     @property
     def linear_law(self) -> ContactLaw:
@@ -144,11 +147,10 @@ class Diagnosis:
 
 def diagnosis_record(diagnosis: Diagnosis) -> dict[str, Any]:
     """The content of ``diagnosis.json``: the contract's keys and further ones."""
-    return {
-        "schema": SCHEMA,
-        "notes": list(diagnosis.notes),
-        "channels": {name: _channel(d) for name, d in diagnosis.channels.items()},
-    }
+    channels = {name: _channel(d) for name, d in diagnosis.channels.items()}
+    if diagnosis.markers is not None:
+        channels["markers"] = diagnosis.markers.record()
+    return {"schema": SCHEMA, "notes": list(diagnosis.notes), "channels": channels}
 
 
 def _channel(found: ChannelDiagnosis) -> dict[str, Any]:

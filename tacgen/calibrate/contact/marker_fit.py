@@ -1,0 +1,435 @@
+"""The shear field of marker tracks: k_s, the decay of the gel's motion and its friction.
+
+Of every frame the model is c w(ℓ, μ) + g d: the field w of ``ShearField``, driven by the logged
+force, and the dots' motion d away from the indentation. c = k_s · pitch² and g are linear and are
+solved for each trial of the decay ℓ and 1/μ, which is 0 where all points stick.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.optimize import least_squares
+from scipy.special import stdtrit
+
+from tacgen.core.arrays import BoolArray, FloatArray, IntArray
+from tacgen.core.errors import PressError
+from tacgen.core.records import Estimate, Sensor
+from tacgen.presses.ball_shear import STICKS, BallShear, Place
+from tacgen.presses.marker_tracks import (
+    AT_REST,
+    MarkerTracks,
+    read_marker_tracks,
+    tracks_in_pictures,
+)
+from tacgen.presses.press_folder import WITH_FORCES, read_press_folder
+from tacgen.presses.press_log import PressLog
+from tacgen.report.figures import arrows
+from tacgen.sensor.description import load_sensor
+
+MOST_FRAMES = 16
+"""Of a press that are fitted, from loading over the largest shear back to none: with half of them
+the steps of the load between are so coarse that μ comes out a few per cent wrong."""
+LEAST_PRESSES = 4  # with shear: fewer leave no scatter to give intervals by
+START_DECAY_MM = 1.5
+START_SLIPS = (0.6, 1.2, 2.4, 5.0)  # 1/μ from which the fit starts, the best of them
+FIRST_SLIP = 25.0  # times STEP, 1/μ at which a rim slips that is seen
+STEP = 0.02  # of a parameter, by which its derivative is taken: the slip's rim goes node by node
+FIELD_TOLERANCE = 1e-4  # of the motion, of which a step of a parameter changes some 1e-2
+ARROWS = 3  # presses that are drawn: the worst explained, the median and the best
+TOLERANCE = 2e-3  # of the parameters, far below any interval
+MOST_STEPS = 10
+PLACE_NAMES = ("place_x", "place_y", "place_radius", "place_slip")
+BOUNDS = {
+    "decay": (0.3, 8.0),  # of gels 2 to 10 mm thick
+    "slip": (0.0, 30.0),  # 1/μ: nothing is that slippery
+    "place_x": (-50.0, 50.0),
+    "place_y": (-50.0, 50.0),
+    "place_radius": (0.5, 6.0),  # less than a cell of the lattice is no place, more is the window
+    "place_slip": (0.0, 30.0),
+}
+"""Of the parameters that are not linear; lengths in mm."""
+
+
+@dataclass(frozen=True, slots=True)
+class PressFrames:
+    """One press's frames that are fitted: what acts on the gel and how its dots moved.
+
+    ``pressure`` (T) maps are in N/mm², ``force_n`` (T, 2), ``motion_mm`` and ``dilation_mm``
+    (T, M, 2), the first NaN where a dot is lost.
+    """
+
+    number: int
+    load: Mapping[str, float]
+    center_mm: FloatArray
+    patch_mm: float
+    pressure: tuple[FloatArray, ...]
+    force_n: FloatArray
+    motion_mm: FloatArray
+    dilation_mm: FloatArray
+    frames: IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Slip:
+    """The parameters of the field that are not linear."""
+
+    decay_mm: float = START_DECAY_MM
+    per_friction: float = 0.0
+    place: Place | None = None
+
+    @property
+    def friction(self) -> float:
+        """μ; a large number where all sticks."""
+        return 1.0 / max(self.per_friction, 1.0 / STICKS)
+
+
+@dataclass
+class FieldData:
+    """The presses of a session with their tracks, and the strains computed for them."""
+
+    sensor: Sensor
+    tracks: MarkerTracks
+    presses: tuple[PressFrames, ...]
+    noise_mm: float
+    _gels: dict[float, BallShear] = field(default_factory=dict)
+    _known: dict[Any, FloatArray] = field(default_factory=dict)
+
+    def strain(self, index: int, slip: Slip) -> FloatArray:
+        """Motion per compliance (T, M, 2) of a press; a place that it does not reach is nothing."""
+        press, place = self.presses[index], slip.place
+        if place is not None:
+            away = np.hypot(*(press.center_mm - [place.x_mm, place.y_mm]))
+            place = place if away < place.radius_mm + press.patch_mm else None
+        key = (index, slip.decay_mm, slip.per_friction, place)
+        if key not in self._known:
+            if len(self._known) > MOST_KNOWN:
+                self._known.clear()
+                self._gels.clear()
+            if slip.decay_mm not in self._gels:
+                self._gels[slip.decay_mm] = BallShear(self.sensor, slip.decay_mm)
+            self._known[key] = self._gels[slip.decay_mm].strain(
+                np.where(np.isfinite(self.tracks.rest_mm), self.tracks.rest_mm, 0.0),
+                *(press.pressure, press.force_n, slip.friction, place, FIELD_TOLERANCE),
+            )
+        return self._known[key]
+
+    def linear(self, slip: Slip, which: Sequence[int]) -> FloatArray:
+        """Compliance c, mm³/N, and gain of the dilation that fit presses best."""
+        found = [self.rows(index, slip) for index in which]
+        normal = sum(columns.T @ columns for columns, _ in found)
+        right = sum(columns.T @ motion for columns, motion in found)
+        return np.asarray(np.linalg.lstsq(normal, right, rcond=1e-12)[0])
+
+    def rows(self, index: int, slip: Slip) -> tuple[FloatArray, FloatArray]:
+        """Strain and dilation (n, 2), and motion (n,), of the coordinates that were seen."""
+        press = self.presses[index]
+        seen = np.isfinite(press.motion_mm)
+        columns = [self.strain(index, slip)[seen], press.dilation_mm[seen]]
+        return np.column_stack(columns), press.motion_mm[seen]
+
+    def residual(self, index: int, slip: Slip, linear: FloatArray) -> FloatArray:
+        """Measured less modelled motion (n,) of a press's coordinates that were seen."""
+        columns, motion = self.rows(index, slip)
+        return np.asarray(motion - columns @ linear)
+
+    def losses(self, slip: Slip, linear: FloatArray, which: Sequence[int]) -> FloatArray:
+        """Sum of squares (n,) of each press's residual, mm²."""
+        return np.array([(self.residual(index, slip, linear) ** 2).sum() for index in which])
+
+
+MOST_KNOWN = 6000  # strains that are kept: some 80 MB of them
+
+
+def load_tracks(markers: Path, sensor: str | None, log: PressLog) -> tuple[Sensor, MarkerTracks]:
+    """The sensor of that name, and the tracks of a ``markers.csv`` or a folder of pictures.
+
+    Raises ``PressError`` if they cannot be used, or no sensor is named.
+    """
+    if sensor is None:
+        msg = f"{markers}: whose dots are these? Name their sensor with --sensor"
+        raise PressError(msg)
+    known = load_sensor(sensor, needs_table=False)
+    if Path(markers).is_dir():
+        return known, tracks_in_pictures(read_press_folder(markers, WITH_FORCES), known, log)
+    return known, read_marker_tracks(Path(markers), known, log)
+
+
+def field_data(
+    tracks: MarkerTracks, sensor: Sensor, k_n_mm3_per_n: float, most_frames: int = MOST_FRAMES
+) -> FieldData:
+    """The presses that shear the gel, with a few frames of each; ``k_n`` gives the contact's size.
+
+    Raises ``PressError`` with fewer than ``LEAST_PRESSES`` of them.
+    """
+    gel = BallShear(sensor, START_DECAY_MM)
+    rest = np.where(np.isfinite(tracks.rest_mm), tracks.rest_mm, 0.0)
+    presses, bends = [], []
+    for number in np.unique(tracks.press):
+        rows = np.flatnonzero(tracks.press == number)
+        rows = rows[np.argsort(tracks.time_s[rows], kind="stable")]
+        load = {name: values[rows] for name, values in tracks.load.items()}
+        motion = tracks.places_mm[rows] - tracks.rest_mm
+        force = np.column_stack([load["force_shear_x_n"], load["force_shear_y_n"]])
+        normal, size = load["force_normal_n"], np.hypot(*force.T)
+        center = np.array([np.median(load["x_mm"]), np.median(load["y_mm"])])
+        radius = float(np.median(load["radius_mm"]))
+        # The dots far from the contact hardly move: what their places bend by is noise.
+        away = np.hypot(*(rest - center).T)
+        still = motion[:, away >= np.median(away)]
+        bends.append((still[:-2] - 2.0 * still[1:-1] + still[2:]).ravel())
+        known = np.isfinite([*center, radius]).all() and np.isfinite(force).all()
+        seen: BoolArray = np.asarray(np.isfinite(motion).any(axis=(1, 2)))
+        chosen = _chosen(normal, force, seen, most_frames)
+        if not known or len(chosen) < 2 or size[chosen].max() <= AT_REST * normal.max():
+            continue
+        depth = [gel.depth_mm(radius, center, k_n_mm3_per_n * normal[one]) for one in chosen]
+        deepest = max(depth, key=lambda one: float(one.sum()))
+        area = float((deepest > 0).sum()) * gel.cell_mm2
+        presses.append(
+            PressFrames(
+                int(number),
+                {name: float(values[np.argmax(size)]) for name, values in load.items()},
+                gel.middle_mm(deepest),
+                float(np.sqrt(area / np.pi)),
+                tuple(one / k_n_mm3_per_n for one in depth),
+                force[chosen],
+                motion[chosen],
+                np.stack([gel.dilation_mm(rest, one) for one in depth]),
+                rows[chosen],
+            )
+        )
+    if len(presses) < LEAST_PRESSES:
+        msg = (
+            f"{tracks.path}: {len(presses)} presses with shear force, the ball's radius and the "
+            f"contact's place; the shear field needs {LEAST_PRESSES}"
+        )
+        raise PressError(msg)
+    every = np.concatenate(bends)
+    every = every[np.isfinite(every)]
+    noise = 1.4826 * float(np.median(np.abs(every))) / np.sqrt(6.0) if len(every) else np.nan
+    return FieldData(sensor, tracks, tuple(presses), noise)
+
+
+def _chosen(normal: FloatArray, force: FloatArray, usable: BoolArray, most: int) -> IntArray:
+    """Frames in contact, spread evenly over the path of the load."""
+    rows = np.flatnonzero(usable & (normal > AT_REST * normal.max()))
+    if len(rows) <= most:
+        return rows
+    along = np.column_stack([0.3 * normal[rows], force[rows]])  # shear counts more
+    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(along, axis=0), axis=1))])
+    wanted = np.linspace(0.0, path[-1], most - 1)
+    near = np.abs(path[:, None] - wanted).argmin(axis=0)
+    top = int(np.hypot(*force[rows].T).argmax())
+    return np.asarray(rows[np.unique([*near, top])])
+
+
+def fit_slip(data: FieldData, which: Sequence[int], start: Slip, names: Sequence[str]) -> Slip:
+    """The parameters ``names`` that explain presses best, from ``start`` on; others stay.
+
+    Names are ``decay``, ``slip`` (1/μ) and, of a place, those of ``PLACE_NAMES``.
+    """
+    low, high = np.array([BOUNDS[name] for name in names]).T
+    first = np.clip([_get(start, name) for name in names], low, high)
+
+    def of(x: FloatArray) -> Slip:
+        return _with(start, dict(zip(names, x.tolist(), strict=True)))
+
+    def off(x: FloatArray) -> FloatArray:
+        slip = of(x)
+        linear = data.linear(slip, which)
+        return np.concatenate([data.residual(one, slip, linear) for one in which])
+
+    if "slip" in names and not start.per_friction:
+        starts = [np.where(np.array(names) == "slip", one, first) for one in (0.0, *START_SLIPS)]
+        first = min(starts, key=lambda x: float((off(x) ** 2).sum()))
+        if first is starts[0]:
+            return of(first)
+    scale = _scales(names, first)
+
+    def at(z: FloatArray) -> FloatArray:
+        # Derivatives are taken by steps relative to z, which is 1 at the start.
+        return np.asarray(np.clip(first + (z - 1.0) * scale, low, high))
+
+    found = least_squares(
+        lambda z: off(at(z)),
+        np.ones(len(first)),
+        bounds=(1.0 + (low - first) / scale - 1e-9, 1.0 + (high - first) / scale + 1e-9),
+        x_scale=0.3,
+        diff_step=STEP,
+        xtol=TOLERANCE,
+        ftol=1e-4,
+        max_nfev=MOST_STEPS,
+    )
+    return of(at(found.x))
+
+
+@dataclass(frozen=True, slots=True)
+class FieldFit:
+    """What the tracks of a session say of the gel, and how well they are explained.
+
+    ``k_s``, ``decay`` and ``friction`` have standard errors by the scatter between presses, a
+    1.96th of half the 95 % interval; ``friction`` is None where no slip shows, and then at least
+    ``least_friction``. Errors and ``noise_mm`` are of one coordinate of a dot.
+    """
+
+    k_s: Estimate
+    decay: Estimate
+    friction: Estimate | None
+    least_friction: float
+    slip: Slip
+    linear: FloatArray
+    rmse_mm: float
+    motion_mm: float
+    noise_mm: float
+    n_presses: int
+
+    def summary(self) -> dict[str, Any]:
+        """What ``--json`` prints."""
+        estimates = {"k_s": self.k_s, "decay_mm": self.decay, "friction": self.friction}
+        known = {
+            name: None if one is None else {"value": one.value, "stderr": one.stderr}
+            for name, one in estimates.items()
+        }
+        more = {"rmse_mm": self.rmse_mm, "motion_mm": self.motion_mm, "noise_mm": self.noise_mm}
+        return {
+            **known,
+            "friction_at_least": self.least_friction,
+            **more,
+            "presses": self.n_presses,
+        }
+
+    def sentence(self) -> str:
+        """The result in one line."""
+        error = f"error {1e3 * self.rmse_mm:.2g} of {1e3 * self.motion_mm:.3g} µm RMS motion"
+        mu = f"no slip shows: friction at least {self.least_friction:.2g}"
+        if self.friction is not None:
+            mu = f"friction {self.friction.value:.3f} ± {1.96 * self.friction.stderr:.2g}"
+        return (
+            f"shear field of {self.n_presses} presses: k_s {self.k_s.value:.4g} ± "
+            f"{1.96 * self.k_s.stderr:.2g} mm/N, decay {self.decay.value:.3g} ± "
+            f"{1.96 * self.decay.stderr:.2g} mm, {mu} (95 %); {error}, noise "
+            f"{1e3 * self.noise_mm:.2g} µm"
+        )
+
+
+def fit_field(data: FieldData) -> FieldFit:
+    """Fit the field to all presses, with intervals by the scatter between them."""
+    which = range(len(data.presses))
+    sticking = fit_slip(data, which, Slip(), ("decay",))
+    names = ("decay", "slip")
+    slip, linear, stderr = refined(data, fit_slip(data, which, sticking, names), names)
+    per, per_stderr = slip.per_friction, stderr["slip"]
+    if per <= 1.96 * per_stderr:  # no slip: the decay is as if there were none
+        slip, linear, stderr = refined(data, sticking, ("decay",))
+    pitch2 = data.tracks.pitch_mm**2
+    friction = None
+    if slip.per_friction > 0:
+        friction = Estimate(slip.friction, per_stderr * slip.friction**2, "1")
+    motions = np.concatenate([p.motion_mm[np.isfinite(p.motion_mm)] for p in data.presses])
+    losses = data.losses(slip, linear, which)
+    return FieldFit(
+        k_s=Estimate(float(linear[0]) / pitch2, stderr["compliance"] / pitch2, "mm/N"),
+        decay=Estimate(slip.decay_mm, stderr["decay"], "mm"),
+        friction=friction,
+        least_friction=1.0 / (per + 1.96 * per_stderr),
+        slip=slip,
+        linear=linear,
+        rmse_mm=float(np.sqrt(losses.sum() / len(motions))),
+        motion_mm=float(np.sqrt((motions**2).mean())),
+        noise_mm=data.noise_mm,
+        n_presses=len(data.presses),
+    )
+
+
+def refined(
+    data: FieldData, slip: Slip, names: Sequence[str]
+) -> tuple[Slip, FloatArray, dict[str, float]]:
+    """One Gauss–Newton step of all presses from ``slip`` on; and standard errors.
+
+    ``names`` as of ``fit_slip``. Returns the parameters after the step, the linear ones, and the
+    errors of both (``compliance``, ``dilation`` and ``names``) by the scatter between presses: a
+    1.96th of half a 95 % interval of Student's t, of as many degrees of freedom as there are
+    presses beyond parameters.
+
+    Source: Liang & Zeger 1986, the sandwich of clusters; CR1's factor.
+    """
+    which = range(len(data.presses))
+    linear = data.linear(slip, which)
+    x0 = np.array([_get(slip, name) for name in names])
+    steps = STEP * _scales(names, x0)
+    bread, scores = np.zeros((2 + len(names),) * 2), []
+    for index in which:
+        columns, motion = data.rows(index, slip)
+        slopes = []
+        for name, value, step in zip(names, x0, steps, strict=True):
+            low = max(value - step, BOUNDS[name][0])
+            ends = [_with(slip, {name: one}) for one in (value + step, low)]
+            up, down = (data.rows(index, one)[0] @ linear for one in ends)
+            slopes.append((up - down) / (value + step - low))
+        jacobian = np.column_stack([columns, *slopes])
+        bread += jacobian.T @ jacobian
+        scores.append(jacobian.T @ (motion - columns @ linear))
+    count, free = len(scores), max(len(scores) - bread.shape[0], 1)
+    inverse = np.linalg.pinv(bread, hermitian=True)
+    meat = np.stack(scores) @ inverse
+    covariance = meat.T @ meat * count / free
+    errors = np.sqrt(np.diag(covariance)) * float(stdtrit(free, 0.975)) / 1.96
+    found = dict(zip(("compliance", "dilation", *names), errors.tolist(), strict=True))
+    low_high = np.array([BOUNDS[name] for name in names]).T
+    moved = np.clip(x0 + meat.sum(axis=0)[2:], *low_high)
+    after = _with(slip, dict(zip(names, moved.tolist(), strict=True)))
+    if (
+        data.losses(after, data.linear(after, which), which).sum()
+        < data.losses(slip, linear, which).sum()
+    ):
+        slip, linear = after, data.linear(after, which)
+    return slip, linear, found
+
+
+def _scales(names: Sequence[str], x: FloatArray) -> FloatArray:
+    """How far parameters go at once: of slips their share, of lengths a multiple of a cell."""
+    least = np.where((np.array(names) == "slip") & (x == 0.0), FIRST_SLIP, 0.5)
+    lengths = [5.0 if name in PLACE_NAMES[:3] else 0.0 for name in names]
+    return np.maximum(np.maximum(np.abs(x), least), lengths)
+
+
+def _get(slip: Slip, name: str) -> float:
+    place = slip.place
+    if name in ("decay", "slip") or place is None:
+        return slip.decay_mm if name == "decay" else slip.per_friction
+    values = (place.x_mm, place.y_mm, place.radius_mm, 1.0 / place.friction)
+    return dict(zip(PLACE_NAMES, values, strict=True))[name]
+
+
+def _with(slip: Slip, values: Mapping[str, float]) -> Slip:
+    decay, per_friction = (values.get(one, _get(slip, one)) for one in ("decay", "slip"))
+    place = slip.place
+    if place is not None:
+        x, y, radius, per = (values.get(one, _get(slip, one)) for one in PLACE_NAMES)
+        place = Place(x, y, radius, 1.0 / max(per, 1.0 / STICKS))
+    return Slip(decay, per_friction, place)
+
+
+def arrow_figure(
+    data: FieldData, slip: Slip, linear: FloatArray, beside_mm: FloatArray | float = 0.0
+) -> Figure:
+    """Measured motion, model and difference of a few presses, the worst explained first.
+
+    ``beside_mm`` (M, 2) is by how much dots at rest are off where the model has them.
+    """
+    every = range(len(data.presses))
+    ranked = np.argsort([-(data.residual(one, slip, linear) ** 2).mean() for one in every])
+    rows = []
+    for index in ranked[np.unique(np.linspace(0, len(ranked) - 1, ARROWS).round().astype(int))]:
+        press = data.presses[index]
+        top = int(np.hypot(*press.force_n.T).argmax())
+        model = linear[0] * data.strain(int(index), slip)[top] + linear[1] * press.dilation_mm[top]
+        normal, shear = press.load["force_normal_n"], np.hypot(*press.force_n[top])
+        title = f"press {press.number}, {normal:.1f} N, shear {shear:.1f} N"
+        rows.append((title, data.tracks.rest_mm, press.motion_mm[top] + beside_mm, model))
+    scale = data.sensor.mm_per_px
+    return arrows(rows, (data.sensor.width_px * scale, data.sensor.height_px * scale))
