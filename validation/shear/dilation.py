@@ -3,10 +3,10 @@
 ``python -m validation.shear.dilation [--fots DIR] [--taxim DIR]``. Without a folder: the motion by
 pressing alone, of the finite elements, beside FOTS's form with a gain by eye and beside tacgen's,
 whose two constants are fitted on balls of 2 and 8 mm on a gel of 4 mm; the ball of 4 mm and the gel
-of 2.5 mm are held out. With clones of Rancho-zhao/FOTS (commit 5bcde04: 99 markers of a GelSight under a
-printed ball of 3 mm, pressed, then sheared) and CMURoboTouch/Taxim (commit d067cc6, MIT: a pin on
-a domed gel by finite elements), the same forms and the decay of the shear on those; nothing of
-them is kept here.
+of 2.5 mm are held out. With clones of Rancho-zhao/FOTS (commit 5bcde04: 99 markers of a GelSight
+under a printed ball of 3 mm, pressed, then sheared) and CMURoboTouch/Taxim (commit d067cc6, MIT: a
+pin on a domed gel by finite elements), the same forms and the decay of the shear on those; nothing
+of them is kept here.
 """
 
 import argparse
