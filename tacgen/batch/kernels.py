@@ -1041,7 +1041,7 @@ def sweep(p: Worlds, lights: Lights, lanes: int):
     const double scale = p.mm_per_px, x = wp::index(p.markers_at_rest_mm, m, 0);
     const double y = wp::index(p.markers_at_rest_mm, m, 1);
     const double half_row = 0.5 * p.depth_mm.shape[1] - 0.5, half = 0.5 * p.depth_mm.shape[2] - 0.5;
-    double along_x = 0.0, along_y = 0.0, deepest = 1e-12, under = 0.0;
+    double along_x = 0.0, along_y = 0.0;
     int every = wp::max(1, (int)sqrt((double)height * width / most_points)), count = 0;
     for (; count == 0 && every > 0; every = every > 1 ? 1 : 0)
         for (int r = patch[0] + every / 2; r < patch[0] + height; r += every)
@@ -1050,21 +1050,10 @@ def sweep(p: Worlds, lights: Lights, lanes: int):
                 count += depth > 0.0 ? 1 : 0;
                 const double dx = x - (c - half) * scale, dy = y - (r - half_row) * scale;
                 const double fall = decay * (dx * dx + dy * dy);
-                if (depth <= 0.0) continue;
-                deepest = wp::max(deepest, depth);
+                if (depth <= 0.0 || fall > 30.0) continue;
                 const double weight = gain * depth * scale * scale * every * every * exp(-fall);
                 along_x += weight * dx, along_y += weight * dy;
             }
-    const double down = y / scale + half_row, right = x / scale + half;
-    for (int k = 0; k < 4; k++) {  // bilinear
-        const int row = (int)floor(down) + k / 2, column = (int)floor(right) + k % 2;
-        if (row < 0 || row >= p.depth_mm.shape[1]) continue;
-        if (column < 0 || column >= p.depth_mm.shape[2]) continue;
-        const double share = (1.0 - fabs(down - row)) * (1.0 - fabs(right - column));
-        under += share * wp::index(p.depth_mm, p.start + w, row, column);
-    }
-    const double free = 1.0 - wp::min(under / deepest, 1.0);
-    along_x *= free, along_y *= free;
     const float* sheared = &wp::index(p.sheared_mm, p.start + w, m, 0);
     wp::index(p.markers_mm, p.start + w, m, 0) = (float)(x + along_x + sheared[0]);
     wp::index(p.markers_mm, p.start + w, m, 1) = (float)(y + along_y + sheared[1]);

@@ -19,7 +19,7 @@ from tacgen.contact.gap import (
 )
 from tacgen.contact.gel import gel_map_mm
 from tacgen.contact.raster import CellMesh, cut_mesh
-from tacgen.contact.shear import dilation_constants, marker_grid_mm
+from tacgen.contact.shear import DILATION_DECAY_PER_MM2, DILATION_GAIN, marker_grid_mm
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import ContactError, SensorError, TableError
 from tacgen.core.noise import CameraNoise
@@ -40,7 +40,7 @@ from tacgen.optics.markers import INK_TRANSMISSION
 from tacgen.optics.render import Shader
 from tacgen.optics.smooth import Gaussian
 from tacgen.optics.table import LookupTable
-from tacgen.sensor.tactile_pad import DILATION_POINTS
+from tacgen.sensor.tactile_pad import FIELD_POINTS
 
 CUDA_LANES, CUDA_BLOCK, CUDA_CELL = 64, 256, 32
 """Threads on a row, on a world and on a cell of a mesh; one on the CPU."""
@@ -404,8 +404,7 @@ class BatchRenderer:
             dim = self._count, lights.n, self._block
             self._launch(k.sweep, *dim, inputs=[p, lights, self._block])
         if p.n_markers:
-            constants = dilation_constants(self._sensor.gel_depth_mm)
-            inputs = p, DILATION_POINTS, *constants
+            inputs = p, FIELD_POINTS, DILATION_DECAY_PER_MM2, DILATION_GAIN
             self._launch(k.spread, self._count, p.n_markers, inputs=inputs)
         self._rows(k.expose, p, lights, INK_TRANSMISSION, seed)
 

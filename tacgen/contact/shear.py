@@ -9,10 +9,16 @@ from tacgen.contact.raster import Float64
 from tacgen.core.compiled import njit
 from tacgen.core.records import Markers, Sensor
 
-DILATION_REACH, DILATION_GAIN = 1.58, 0.198
-"""How far and how strongly an indentation pushes the gel aside: e^−1 at ``reach`` thicknesses, and
-the gain for a thickness of 1 mm. Fitted to finite elements of bonded blocks of gel
-(``validation.shear.dilation``), of which a thickness is the only length."""
+DILATION_DECAY_PER_MM2 = 0.479
+"""How fast dilation falls off with the square of the distance.
+
+Source: Zhao et al. 2023, FOTS: λ_d = 0.00125 px⁻² at its 19.58 px/mm.
+"""
+DILATION_GAIN = 0.03
+"""Sideways motion of the gel's surface around an indentation, per mm of depth and mm² of contact.
+Chosen so that a marker beside a 1 mm deep ball press moves by about 0.1 mm, as on real gels."""
+
+NEGLIGIBLE = 20.0  # e^−20: beyond 6.5 mm the indentation at a point moves nothing
 
 DEFAULT_PITCH_MM = 2.0
 """Spacing of the points at which the motion of a gel without markers is summed."""
@@ -52,26 +58,18 @@ def marker_grid_mm(sensor: Sensor) -> Float64:
     return np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
 
 
-def dilation_constants(gel_depth_mm: float) -> tuple[float, float]:
-    """Decay (1/mm²) and gain (1/mm³) of ``dilation_mm`` for a gel's thickness."""
-    return (DILATION_REACH * gel_depth_mm) ** -2, DILATION_GAIN / gel_depth_mm**3
-
-
 @njit(cache=True, nogil=True)
-def _dilation(
-    points_mm: Float64,
-    patch_mm: Float64,
-    weights_mm3: Float64,
-    decay_per_mm2: float,
-    gain: float,
-    out: Float64,
-) -> None:
+def _dilation(points_mm: Float64, patch_mm: Float64, weights_mm3: Float64, out: Float64) -> None:
+    """Motion (n, 2) of each point away from the patch, for a gain of 1."""
     for i in range(points_mm.shape[0]):
         along_x, along_y = 0.0, 0.0
         for j in range(patch_mm.shape[0]):
             dx = points_mm[i, 0] - patch_mm[j, 0]
             dy = points_mm[i, 1] - patch_mm[j, 1]
-            weight = gain * weights_mm3[j] * np.exp(-decay_per_mm2 * (dx * dx + dy * dy))
+            away = DILATION_DECAY_PER_MM2 * (dx * dx + dy * dy)
+            if away > NEGLIGIBLE:
+                continue
+            weight = weights_mm3[j] * np.exp(-away)
             along_x += weight * dx
             along_y += weight * dy
         out[i, 0], out[i, 1] = along_x, along_y
@@ -82,37 +80,13 @@ def dilation_mm(
     patch_mm: NDArray[np.floating],
     depth_mm: NDArray[np.floating],
     area_mm2: float,
-    gel_depth_mm: float,
-    under_mm: NDArray[np.floating],
 ) -> Float64:
     """Motion (n, 2) of points of the gel's surface (n, 2) by an indentation alone.
 
     ``patch_mm`` (k, 2) are spread evenly over the contact patch, gel frame, each indented by
-    ``depth_mm`` (k,) and standing for ``area_mm2``; ``under_mm`` (n,) is the indentation at the
-    points: the object holds the gel where it touches, the more the deeper.
+    ``depth_mm`` (k,) and standing for ``area_mm2``.
     """
-    out = np.zeros(points_mm.shape)
-    if not len(patch_mm):
-        return out
-    depth = np.asarray(depth_mm, np.float64)
-    points, patch = np.ascontiguousarray(points_mm), np.ascontiguousarray(patch_mm)
-    _dilation(points, patch, depth * area_mm2, *dilation_constants(gel_depth_mm), out)
-    free = 1.0 - np.minimum(under_mm / max(float(depth.max()), 1e-12), 1.0)
-    return np.asarray(free[:, None] * out)
-
-
-def depth_at(
-    depth_mm: NDArray[np.floating], points_mm: Float64, mm_per_px: float
-) -> NDArray[np.float64]:
-    """Indentation (n,) at points (n, 2) of the gel, bilinear between pixels; 0 beside the map."""
-    place = points_mm[:, ::-1] / mm_per_px + (np.array(depth_mm.shape) - 1.0) / 2
-    first = np.floor(place).astype(int)
-    part = place - first
-    found = np.zeros(len(points_mm))
-    for down in (0, 1):
-        for right in (0, 1):
-            at = first + np.array([down, right])
-            inside = ((at >= 0) & (at < depth_mm.shape)).all(axis=1)
-            weight = np.abs(1 - down - part[:, 0]) * np.abs(1 - right - part[:, 1])
-            found[inside] += weight[inside] * depth_mm[tuple(at[inside].T)]
-    return found
+    weights_mm3 = np.asarray(depth_mm, dtype=np.float64) * area_mm2
+    out = np.empty(points_mm.shape)
+    _dilation(np.ascontiguousarray(points_mm), np.ascontiguousarray(patch_mm), weights_mm3, out)
+    return DILATION_GAIN * out

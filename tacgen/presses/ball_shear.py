@@ -7,7 +7,7 @@ import numpy as np
 
 from tacgen.contact.gel import gel_map_mm
 from tacgen.contact.indentation import contact_depth, solve_indentation
-from tacgen.contact.shear import depth_at, dilation_mm
+from tacgen.contact.shear import dilation_mm
 from tacgen.contact.shear_field import TOLERANCE
 from tacgen.core.arrays import FloatArray
 from tacgen.core.records import Sensor
@@ -67,9 +67,7 @@ class BallShear:
             return np.zeros_like(points_mm)
         nodes = self.field.nodes_mm[inside]
         points = np.asarray(points_mm, np.float64)
-        under = depth_at(depth_mm, points, self.field.lattice_mm)
-        gel_mm = self._sensor.gel_depth_mm
-        return dilation_mm(points, nodes, depth_mm[inside], self.cell_mm2, gel_mm, under)
+        return np.asarray(dilation_mm(points, nodes, depth_mm[inside], self.cell_mm2))
 
     def middle_mm(self, depth_mm: FloatArray) -> FloatArray:
         """Middle (2,) of the pressure of an indentation (rows, columns), gel frame."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tacgen.contact import contact_depth, gel_map_mm, solve_indentation
 from tacgen.contact.gel import pixel_centers_mm
-from tacgen.contact.shear import depth_at, dilation_mm, marker_grid_mm
+from tacgen.contact.shear import dilation_mm, marker_grid_mm
 from tacgen.core.files import atomic_path, write_text
 from tacgen.core.images import encode_png
 from tacgen.core.records import Sensor
@@ -62,14 +62,7 @@ def press_ball(
     x_mm, y_mm = pixel_centers_mm(sensor)
     rows, columns = np.nonzero(depth)
     patch = np.stack([x_mm[columns], y_mm[rows]], axis=1)
-    points_moved = points + dilation_mm(
-        points,
-        patch,
-        depth[rows, columns],
-        sensor.pixel_area_mm2,
-        sensor.gel_depth_mm,
-        depth_at(depth, points, sensor.mm_per_px),
-    )
+    points_moved = points + dilation_mm(points, patch, depth[rows, columns], sensor.pixel_area_mm2)
     load = GelLoad(volume_mm3, shear_sum_mm=shear_sum_mm)
     gel, window = GelShear(sensor), (0, sensor.height_px, 0, sensor.width_px)
     state = gel.step(depth.astype(np.float32), window, load, 1.0, None)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from tacgen.contact.gap import GAP_GRAIN_MM, GapMapper, ObjectGap
 from tacgen.contact.gel import gel_map_mm, gel_size_mm, pixel_centers_mm
 from tacgen.contact.indentation import solve_grains
-from tacgen.contact.shear import ShearMotion, depth_at, dilation_mm, marker_grid_mm
+from tacgen.contact.shear import ShearMotion, dilation_mm, marker_grid_mm
 from tacgen.contact.shear_field import ShearState, weighted
 from tacgen.core.arrays import FloatArray
 from tacgen.core.compiled import njit
@@ -28,8 +28,7 @@ REACH_MARGIN = 1.25
 """Triangles deeper than the last contact by this factor are left out of the first look at a new
 one, which is repeated where it turns out to be deeper: the result does not depend on it."""
 
-FIELD_POINTS = 1500  # points of a contact patch for the pads' torsion
-DILATION_POINTS = 400  # and for the markers' motion by pressing, which reaches for millimetres
+FIELD_POINTS = 1500  # points of a contact patch for the markers' motion and the pads' torsion
 
 OUTSIDE_SHARE = 0.05
 """Of the pressure, from which on an image that does not show it is called ``outside_window``: what
@@ -176,15 +175,13 @@ class Indenter:
             points_mm = np.concatenate([points_mm, beside_mm])
         return ContactPatch(points_mm, share / max(share.sum(), 1e-12))
 
-    def sampled(
-        self, imprint: Imprint, most: int = FIELD_POINTS
-    ) -> tuple[NDArray[np.float64], NDArray[np.float32], float]:
+    def sampled(self, imprint: Imprint) -> tuple[NDArray[np.float64], NDArray[np.float32], float]:
         """Points (n, 2) of the contact patch, their depth (n,) and the area that each stands for.
 
-        So many or fewer tell the patch's shape and weight: the depth is smooth.
+        ``FIELD_POINTS`` or fewer tell the patch's shape and weight: the depth is smooth.
         """
         top, bottom, left, right = imprint.window
-        every = max(1, int((imprint.depth_mm.size / most) ** 0.5))
+        every = max(1, int((imprint.depth_mm.size / FIELD_POINTS) ** 0.5))
         depth_mm = imprint.depth_mm[every // 2 :: every, every // 2 :: every]
         rows, columns = np.nonzero(depth_mm)
         if rows.size == 0:
@@ -393,12 +390,7 @@ class TactilePad:
         """How far each marker (M, 2) is from where it is at rest, x and y of the gel, mm."""
         if not imprint.depth_mm.size:
             return np.zeros_like(self._points_mm)
-        moved = dilation_mm(
-            self._points_mm,
-            *self.indenter.sampled(imprint, DILATION_POINTS),
-            self.sensor.gel_depth_mm,
-            depth_at(imprint.depth_map_mm(self.sensor), self._points_mm, self.sensor.mm_per_px),
-        )
+        moved = dilation_mm(self._points_mm, *self.indenter.sampled(imprint))
         if imprint.shear is None:
             return moved
         return moved + self._shear.motion_mm(imprint.shear, self._points_mm, imprint.load)

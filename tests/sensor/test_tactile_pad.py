@@ -155,9 +155,9 @@ def test_shear_carries_the_imprint_along_and_the_markers_sum_to_it(table):
 
     # On a dome the patch slides back a little towards the top: 3 mm of ball on 30 mm of dome.
     np.testing.assert_allclose(middle(sheared) - middle(still), shift_px, rtol=0.15, atol=0.1)
-    # Pressing moves the markers too, about the middle, which the shear has carried along.
+    # Pressing alone moves the markers about the middle: to a sum near 0.
     moved = pad.marker_motion_mm(sheared).sum(axis=0) - pad.marker_motion_mm(still).sum(axis=0)
-    np.testing.assert_allclose(moved, [6.0, -3.0], rtol=0.08)
+    np.testing.assert_allclose(moved, [6.0, -3.0], rtol=0.05)
 
 
 def test_frames_do_not_depend_on_the_frames_before(table):

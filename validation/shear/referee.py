@@ -115,10 +115,7 @@ class Model:
     def dilated(self, state: State) -> Float64:
         """The motion (n, m, 2) by pressing alone, on the grid."""
         patch, depth, area = _patch(state, self.calibration)
-        grid, thickness = GRID_MM.reshape(-1, 2), self.thickness_mm
-        ball = Foundation(state.case.radius_mm, self.calibration.k_n_mm3_per_n * state.normal_n)
-        moved = dilation_mm(grid, patch, depth, area, thickness, ball.at(grid))
-        return moved.reshape(GRID_MM.shape)
+        return dilation_mm(GRID_MM.reshape(-1, 2), patch, depth, area).reshape(GRID_MM.shape)
 
 
 def _patch(state: State, calibration: Calibration) -> tuple[Float64, Float64, float]:
