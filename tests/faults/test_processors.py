@@ -34,7 +34,7 @@ grid: {force_n: {geomspace: [3, 15, 2]}, y_mm: [4], z_mm: [30], yaw_rad: [0.3]}
 frames: {mode: sequence, count: 3}
 robot: {name: ur5e_wsg50, tactile_pads: both}
 optics: {shadows: true, markers: true, noise: true}
-dataset: {depth: true}
+dataset: {depth: all, markers: true, force_field: [4, 5]}
 randomize: {friction_relative: 0.1, center_of_mass_mm: 1.0, position_mm: 0.5, yaw_rad: 0.02}
 """
 
