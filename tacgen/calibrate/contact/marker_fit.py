@@ -45,7 +45,7 @@ MOST_STEPS = 10
 PLACE_NAMES = ("place_x", "place_y", "place_radius", "place_slip")
 BOUNDS = {
     "decay": (0.3, 8.0),  # of gels 2 to 10 mm thick
-    "slip": (0.0, 30.0),  # 1/μ: nothing is that slippery
+    "grip": (0.0, 30.0),  # 1/μ: nothing is that slippery
     "place_x": (-50.0, 50.0),
     "place_y": (-50.0, 50.0),
     "place_radius": (0.5, 6.0),  # less than a cell of the lattice is no place, more is the window
@@ -98,47 +98,47 @@ class FieldData:
     _gels: dict[float, BallShear] = field(default_factory=dict)
     _known: dict[Any, FloatArray] = field(default_factory=dict)
 
-    def strain(self, index: int, slip: Slip) -> FloatArray:
+    def strain(self, index: int, grip: Slip) -> FloatArray:
         """Motion per compliance (T, M, 2) of a press; a place that it does not reach is nothing."""
-        press, place = self.presses[index], slip.place
+        press, place = self.presses[index], grip.place
         if place is not None:
             away = np.hypot(*(press.center_mm - [place.x_mm, place.y_mm]))
             place = place if away < place.radius_mm + press.patch_mm else None
-        key = (index, slip.decay_mm, slip.per_friction, place)
+        key = (index, grip.decay_mm, grip.per_friction, place)
         if key not in self._known:
             if len(self._known) > MOST_KNOWN:
                 self._known.clear()
                 self._gels.clear()
-            if slip.decay_mm not in self._gels:
-                self._gels[slip.decay_mm] = BallShear(self.sensor, slip.decay_mm)
-            self._known[key] = self._gels[slip.decay_mm].strain(
+            if grip.decay_mm not in self._gels:
+                self._gels[grip.decay_mm] = BallShear(self.sensor, grip.decay_mm)
+            self._known[key] = self._gels[grip.decay_mm].strain(
                 np.where(np.isfinite(self.tracks.rest_mm), self.tracks.rest_mm, 0.0),
-                *(press.pressure, press.force_n, slip.friction, place, FIELD_TOLERANCE),
+                *(press.pressure, press.force_n, grip.friction, place, FIELD_TOLERANCE),
             )
         return self._known[key]
 
-    def linear(self, slip: Slip, which: Sequence[int]) -> FloatArray:
+    def linear(self, grip: Slip, which: Sequence[int]) -> FloatArray:
         """Compliance c, mm³/N, and gain of the dilation that fit presses best."""
-        found = [self.rows(index, slip) for index in which]
+        found = [self.rows(index, grip) for index in which]
         normal = sum(columns.T @ columns for columns, _ in found)
         right = sum(columns.T @ motion for columns, motion in found)
         return np.asarray(np.linalg.lstsq(normal, right, rcond=1e-12)[0])
 
-    def rows(self, index: int, slip: Slip) -> tuple[FloatArray, FloatArray]:
+    def rows(self, index: int, grip: Slip) -> tuple[FloatArray, FloatArray]:
         """Strain and dilation (n, 2), and motion (n,), of the coordinates that were seen."""
         press = self.presses[index]
         seen = np.isfinite(press.motion_mm)
-        columns = [self.strain(index, slip)[seen], press.dilation_mm[seen]]
+        columns = [self.strain(index, grip)[seen], press.dilation_mm[seen]]
         return np.column_stack(columns), press.motion_mm[seen]
 
-    def residual(self, index: int, slip: Slip, linear: FloatArray) -> FloatArray:
+    def residual(self, index: int, grip: Slip, linear: FloatArray) -> FloatArray:
         """Measured less modelled motion (n,) of a press's coordinates that were seen."""
-        columns, motion = self.rows(index, slip)
+        columns, motion = self.rows(index, grip)
         return np.asarray(motion - columns @ linear)
 
-    def losses(self, slip: Slip, linear: FloatArray, which: Sequence[int]) -> FloatArray:
+    def losses(self, grip: Slip, linear: FloatArray, which: Sequence[int]) -> FloatArray:
         """Sum of squares (n,) of each press's residual, mm²."""
-        return np.array([(self.residual(index, slip, linear) ** 2).sum() for index in which])
+        return np.array([(self.residual(index, grip, linear) ** 2).sum() for index in which])
 
 
 MOST_KNOWN = 6000  # strains that are kept: some 80 MB of them
@@ -230,7 +230,7 @@ def _chosen(normal: FloatArray, force: FloatArray, usable: BoolArray, most: int)
 def fit_slip(data: FieldData, which: Sequence[int], start: Slip, names: Sequence[str]) -> Slip:
     """The parameters ``names`` that explain presses best, from ``start`` on; others stay.
 
-    Names are ``decay``, ``slip`` (1/μ) and, of a place, those of ``PLACE_NAMES``.
+    Names are ``decay``, ``grip`` (1/μ) and, of a place, those of ``PLACE_NAMES``.
     """
     low, high = np.array([BOUNDS[name] for name in names]).T
     first = np.clip([_get(start, name) for name in names], low, high)
@@ -239,12 +239,12 @@ def fit_slip(data: FieldData, which: Sequence[int], start: Slip, names: Sequence
         return _with(start, dict(zip(names, x.tolist(), strict=True)))
 
     def off(x: FloatArray) -> FloatArray:
-        slip = of(x)
-        linear = data.linear(slip, which)
-        return np.concatenate([data.residual(one, slip, linear) for one in which])
+        grip = of(x)
+        linear = data.linear(grip, which)
+        return np.concatenate([data.residual(one, grip, linear) for one in which])
 
-    if "slip" in names and not start.per_friction:
-        starts = [np.where(np.array(names) == "slip", one, first) for one in (0.0, *START_SLIPS)]
+    if "grip" in names and not start.per_friction:
+        starts = [np.where(np.array(names) == "grip", one, first) for one in (0.0, *START_SLIPS)]
         first = min(starts, key=lambda x: float((off(x) ** 2).sum()))
         if first is starts[0]:
             return of(first)
@@ -280,7 +280,7 @@ class FieldFit:
     decay: Estimate
     friction: Estimate | None
     least_friction: float
-    slip: Slip
+    grip: Slip
     linear: FloatArray
     rmse_mm: float
     motion_mm: float
@@ -320,23 +320,23 @@ def fit_field(data: FieldData) -> FieldFit:
     """Fit the field to all presses, with intervals by the scatter between them."""
     which = range(len(data.presses))
     sticking = fit_slip(data, which, Slip(), ("decay",))
-    names = ("decay", "slip")
-    slip, linear, stderr = refined(data, fit_slip(data, which, sticking, names), names)
-    per, per_stderr = slip.per_friction, stderr["slip"]
+    names = ("decay", "grip")
+    grip, linear, stderr = refined(data, fit_slip(data, which, sticking, names), names)
+    per, per_stderr = grip.per_friction, stderr["grip"]
     if per <= 1.96 * per_stderr:  # no slip: the decay is as if there were none
-        slip, linear, stderr = refined(data, sticking, ("decay",))
+        grip, linear, stderr = refined(data, sticking, ("decay",))
     pitch2 = data.tracks.pitch_mm**2
     friction = None
-    if slip.per_friction > 0:
-        friction = Estimate(slip.friction, per_stderr * slip.friction**2, "1")
+    if grip.per_friction > 0:
+        friction = Estimate(grip.friction, per_stderr * grip.friction**2, "1")
     motions = np.concatenate([p.motion_mm[np.isfinite(p.motion_mm)] for p in data.presses])
-    losses = data.losses(slip, linear, which)
+    losses = data.losses(grip, linear, which)
     return FieldFit(
         k_s=Estimate(float(linear[0]) / pitch2, stderr["compliance"] / pitch2, "mm/N"),
-        decay=Estimate(slip.decay_mm, stderr["decay"], "mm"),
+        decay=Estimate(grip.decay_mm, stderr["decay"], "mm"),
         friction=friction,
         least_friction=1.0 / (per + 1.96 * per_stderr),
-        slip=slip,
+        grip=grip,
         linear=linear,
         rmse_mm=float(np.sqrt(losses.sum() / len(motions))),
         motion_mm=float(np.sqrt((motions**2).mean())),
@@ -346,9 +346,9 @@ def fit_field(data: FieldData) -> FieldFit:
 
 
 def refined(
-    data: FieldData, slip: Slip, names: Sequence[str]
+    data: FieldData, grip: Slip, names: Sequence[str]
 ) -> tuple[Slip, FloatArray, dict[str, float]]:
-    """One Gauss–Newton step of all presses from ``slip`` on; and standard errors.
+    """One Gauss–Newton step of all presses from ``grip`` on; and standard errors.
 
     ``names`` as of ``fit_slip``. Returns the parameters after the step, the linear ones, and the
     errors of both (``compliance``, ``dilation`` and ``names``) by the scatter between presses: a
@@ -358,16 +358,16 @@ def refined(
     Source: Liang & Zeger 1986, the sandwich of clusters; CR1's factor.
     """
     which = range(len(data.presses))
-    linear = data.linear(slip, which)
-    x0 = np.array([_get(slip, name) for name in names])
+    linear = data.linear(grip, which)
+    x0 = np.array([_get(grip, name) for name in names])
     steps = STEP * _scales(names, x0)
     bread, scores = np.zeros((2 + len(names),) * 2), []
     for index in which:
-        columns, motion = data.rows(index, slip)
+        columns, motion = data.rows(index, grip)
         slopes = []
         for name, value, step in zip(names, x0, steps, strict=True):
             low = max(value - step, BOUNDS[name][0])
-            ends = [_with(slip, {name: one}) for one in (value + step, low)]
+            ends = [_with(grip, {name: one}) for one in (value + step, low)]
             up, down = (data.rows(index, one)[0] @ linear for one in ends)
             slopes.append((up - down) / (value + step - low))
         jacobian = np.column_stack([columns, *slopes])
@@ -381,53 +381,53 @@ def refined(
     found = dict(zip(("compliance", "dilation", *names), errors.tolist(), strict=True))
     low_high = np.array([BOUNDS[name] for name in names]).T
     moved = np.clip(x0 + meat.sum(axis=0)[2:], *low_high)
-    after = _with(slip, dict(zip(names, moved.tolist(), strict=True)))
+    after = _with(grip, dict(zip(names, moved.tolist(), strict=True)))
     if (
         data.losses(after, data.linear(after, which), which).sum()
-        < data.losses(slip, linear, which).sum()
+        < data.losses(grip, linear, which).sum()
     ):
-        slip, linear = after, data.linear(after, which)
-    return slip, linear, found
+        grip, linear = after, data.linear(after, which)
+    return grip, linear, found
 
 
 def _scales(names: Sequence[str], x: FloatArray) -> FloatArray:
     """How far parameters go at once: of slips their share, of lengths a multiple of a cell."""
-    least = np.where((np.array(names) == "slip") & (x == 0.0), FIRST_SLIP, 0.5)
+    least = np.where((np.array(names) == "grip") & (x == 0.0), FIRST_SLIP, 0.5)
     lengths = [5.0 if name in PLACE_NAMES[:3] else 0.0 for name in names]
     return np.maximum(np.maximum(np.abs(x), least), lengths)
 
 
-def _get(slip: Slip, name: str) -> float:
-    place = slip.place
-    if name in ("decay", "slip") or place is None:
-        return slip.decay_mm if name == "decay" else slip.per_friction
+def _get(grip: Slip, name: str) -> float:
+    place = grip.place
+    if name in ("decay", "grip") or place is None:
+        return grip.decay_mm if name == "decay" else grip.per_friction
     values = (place.x_mm, place.y_mm, place.radius_mm, 1.0 / place.friction)
     return dict(zip(PLACE_NAMES, values, strict=True))[name]
 
 
-def _with(slip: Slip, values: Mapping[str, float]) -> Slip:
-    decay, per_friction = (values.get(one, _get(slip, one)) for one in ("decay", "slip"))
-    place = slip.place
+def _with(grip: Slip, values: Mapping[str, float]) -> Slip:
+    decay, per_friction = (values.get(one, _get(grip, one)) for one in ("decay", "grip"))
+    place = grip.place
     if place is not None:
-        x, y, radius, per = (values.get(one, _get(slip, one)) for one in PLACE_NAMES)
+        x, y, radius, per = (values.get(one, _get(grip, one)) for one in PLACE_NAMES)
         place = Place(x, y, radius, 1.0 / max(per, 1.0 / STICKS))
     return Slip(decay, per_friction, place)
 
 
 def arrow_figure(
-    data: FieldData, slip: Slip, linear: FloatArray, beside_mm: FloatArray | float = 0.0
+    data: FieldData, grip: Slip, linear: FloatArray, beside_mm: FloatArray | float = 0.0
 ) -> Figure:
     """Measured motion, model and difference of a few presses, the worst explained first.
 
     ``beside_mm`` (M, 2) is by how much dots at rest are off where the model has them.
     """
     every = range(len(data.presses))
-    ranked = np.argsort([-(data.residual(one, slip, linear) ** 2).mean() for one in every])
+    ranked = np.argsort([-(data.residual(one, grip, linear) ** 2).mean() for one in every])
     rows = []
     for index in ranked[np.unique(np.linspace(0, len(ranked) - 1, ARROWS).round().astype(int))]:
         press = data.presses[index]
         top = int(np.hypot(*press.force_n.T).argmax())
-        model = linear[0] * data.strain(int(index), slip)[top] + linear[1] * press.dilation_mm[top]
+        model = linear[0] * data.strain(int(index), grip)[top] + linear[1] * press.dilation_mm[top]
         normal, shear = press.load["force_normal_n"], np.hypot(*press.force_n[top])
         title = f"press {press.number}, {normal:.1f} N, shear {shear:.1f} N"
         rows.append((title, data.tracks.rest_mm, press.motion_mm[top] + beside_mm, model))

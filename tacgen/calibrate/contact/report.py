@@ -63,7 +63,7 @@ def write_report(
         agreement_text=agreement_text,
         half_width=half_width,
         field=field,
-        arrows=arrow_figure(data, field.slip, field.linear) if field and data else None,
+        arrows=arrow_figure(data, field.grip, field.linear) if field and data else None,
     )
     return path
 

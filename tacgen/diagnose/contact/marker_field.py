@@ -139,9 +139,9 @@ class MarkerDiagnosis:
 
     def figure(self, *, extended: bool) -> Figure:
         """Arrows of a few presses, of the field that sticks or with the effects that were found."""
-        slip, beside_mm = (self.base, self.final)[extended], self.beside_mm[extended]
-        linear = self.data.linear(slip, range(len(self.data.presses)))
-        return arrow_figure(self.data, slip, linear, beside_mm)
+        grip, beside_mm = (self.base, self.final)[extended], self.beside_mm[extended]
+        linear = self.data.linear(grip, range(len(self.data.presses)))
+        return arrow_figure(self.data, grip, linear, beside_mm)
 
     def record(self) -> dict[str, Any]:
         """The channel ``markers`` of ``diagnosis.json``."""
@@ -204,9 +204,9 @@ def diagnose_markers(
         grid = turned(tracks.grid_mm, turn * (TURNED in names)) + shift * (SHIFTED in names)
         return np.asarray(tracks.rest_mm - grid)
 
-    def loss(which: Sequence[int], slip: Slip, names: Sequence[str]) -> float:
-        linear, beside = data.linear(slip, fit), offset(names)
-        return float(sum(_loss(data, one, slip, linear, beside) for one in which))
+    def loss(which: Sequence[int], grip: Slip, names: Sequence[str]) -> float:
+        linear, beside = data.linear(grip, fit), offset(names)
+        return float(sum(_loss(data, one, grip, linear, beside) for one in which))
 
     whole = loss(fit, field[-1], (TURNED, SHIFTED))
     grid: tuple[str, ...] = ()
@@ -250,7 +250,7 @@ def diagnose_markers(
 
 def _free(chosen: Sequence[str]) -> tuple[str, ...]:
     """Parameters of the field with these effects."""
-    slips = ("slip",) if PARTIAL_SLIP in chosen else ()
+    slips = ("grip",) if PARTIAL_SLIP in chosen else ()
     return ("decay", *slips, *(PLACE_NAMES if PLACE in chosen else ()))
 
 
@@ -259,11 +259,11 @@ def _choose(
 ) -> tuple[list[Slip], tuple[str, ...], dict[str, str]]:
     """Fits without, with one and with all effects of friction; their names; competitors."""
 
-    def loss(slip: Slip) -> float:
-        return float(data.losses(slip, data.linear(slip, fit), fit).sum())
+    def loss(grip: Slip) -> float:
+        return float(data.losses(grip, data.linear(grip, fit), fit).sum())
 
-    def gain(slip: Slip, than: Slip) -> float:
-        return 1.0 - loss(slip) / loss(than)
+    def gain(grip: Slip, than: Slip) -> float:
+        return 1.0 - loss(grip) / loss(than)
 
     base = fit_slip(data, fit, Slip(), _free(()))
     slipping = fit_slip(data, fit, base, _free((PARTIAL_SLIP,)))
@@ -293,16 +293,16 @@ def _choose(
     return [base, first, both], names, runner_up
 
 
-def _off(data: FieldData, fit: Sequence[int], slip: Slip, rules: MarkerRules) -> list[int]:
+def _off(data: FieldData, fit: Sequence[int], grip: Slip, rules: MarkerRules) -> list[int]:
     """Presses whose error is clearly more than noise."""
-    linear, found = data.linear(slip, fit), []
+    linear, found = data.linear(grip, fit), []
     for one in fit:
         press = data.presses[one]
         # In the dots about its contact: where it slips, the others hardly move otherwise.
         away = np.hypot(*(data.tracks.rest_mm - press.center_mm).T)
-        near = np.broadcast_to((away < press.patch_mm + slip.decay_mm)[:, None], (len(away), 2))
+        near = np.broadcast_to((away < press.patch_mm + grip.decay_mm)[:, None], (len(away), 2))
         chosen = np.broadcast_to(near, press.motion_mm.shape)[np.isfinite(press.motion_mm)]
-        left = data.residual(one, slip, linear)[chosen]
+        left = data.residual(one, grip, linear)[chosen]
         most = 1.0 + rules.excess * np.sqrt(2.0 / max(len(left), 1))
         if len(left) and (left**2).mean() > most * data.noise_mm**2:
             found.append(one)
@@ -337,8 +337,8 @@ def _with_place(
         for one in values
     ]
 
-    def loss(slip: Slip) -> float:
-        return float(data.losses(slip, linear, fit).sum())
+    def loss(grip: Slip) -> float:
+        return float(data.losses(grip, linear, fit).sum())
 
     # One spot may lead into a valley of its own: the place is fitted from the best few.
     starts = sorted(tried, key=loss)[: rules.spots]
@@ -348,12 +348,12 @@ def _with_place(
 
 
 def _loss(
-    data: FieldData, index: int, slip: Slip, linear: FloatArray, offset_mm: FloatArray
+    data: FieldData, index: int, grip: Slip, linear: FloatArray, offset_mm: FloatArray
 ) -> float:
     """Sum of squares of a press, with the dots at rest ``offset_mm`` (M, 2) beside their places."""
     motion = data.presses[index].motion_mm
     off = np.broadcast_to(offset_mm, motion.shape)[np.isfinite(motion)]
-    return float(((data.residual(index, slip, linear) + off) ** 2).sum())
+    return float(((data.residual(index, grip, linear) + off) ** 2).sum())
 
 
 def _grid(tracks: MarkerTracks) -> tuple[float, FloatArray, tuple[float, float, float]]:
@@ -376,7 +376,7 @@ def _grid(tracks: MarkerTracks) -> tuple[float, FloatArray, tuple[float, float, 
 
 def _parameters(
     name: str,
-    slip: Slip,
+    grip: Slip,
     stderr: dict[str, float],
     turn_rad: float,
     shift_mm: FloatArray,
@@ -384,7 +384,7 @@ def _parameters(
 ) -> dict[str, tuple[float, float, str]]:
     """Value, standard error and unit of an effect's parameters."""
     if name == PARTIAL_SLIP:
-        return {"friction": (slip.friction, stderr["slip"] * slip.friction**2, "1")}
+        return {"friction": (grip.friction, stderr["grip"] * grip.friction**2, "1")}
     if name == TURNED:
         return {"turn_rad": (turn_rad, grid_errors[0], "rad")}
     if name == SHIFTED:
@@ -393,7 +393,7 @@ def _parameters(
             "shift_x_mm": (float(x), grid_errors[1], "mm"),
             "shift_y_mm": (float(y), grid_errors[2], "mm"),
         }
-    place = slip.place
+    place = grip.place
     if place is None:
         return {}
     mu = place.friction
@@ -405,11 +405,11 @@ def _parameters(
     }
 
 
-def _left(data: FieldData, slip: Slip, linear: FloatArray, offset_mm: FloatArray) -> FloatArray:
+def _left(data: FieldData, grip: Slip, linear: FloatArray, offset_mm: FloatArray) -> FloatArray:
     """Mean square of each press's residual (P,), mm²."""
     return np.array(
         [
-            _loss(data, one, slip, linear, offset_mm) / np.isfinite(press.motion_mm).sum()
+            _loss(data, one, grip, linear, offset_mm) / np.isfinite(press.motion_mm).sum()
             for one, press in enumerate(data.presses)
         ]
     )
