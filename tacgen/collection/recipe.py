@@ -214,7 +214,8 @@ class DatasetOptions(Section):
     def _as_before(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Where later keys ask for nothing, what was written without them: the same hash."""
         found: dict[str, Any] = write(self)
-        found["depth"] = {"none": False, "grasp": True}.get(self.depth, self.depth)
+        if "depth" in found:
+            found["depth"] = {"none": False, "grasp": True}.get(self.depth, self.depth)
         later = ("markers", "force_field")
         return {name: value for name, value in found.items() if value or name not in later}
 

@@ -84,7 +84,7 @@ class InputOptions(Section):
         """Of images alone, what was written before there were other channels: the same hash."""
         found: dict[str, Any] = write(self)
         if self.channels == ("image",):
-            del found["channels"]
+            found.pop("channels", None)
         return found
 
 
