@@ -3,21 +3,23 @@
 The surface is an elastic sheet on an elastic foundation, with a skin: a tangential traction t moves
 it by
 
-    u = c (w + ε t),   w − ℓ² ∇²w = (1 − ε) t,   ∫ u dA = c ∫ t dA = c F,
+    u = c (w + ε t),   w − ℓ² ∇²w − 4 ℓ² ∇(∇ · w) = (1 − ε) t,   ∫ u dA = c ∫ t dA = c F,
 
 where c = k_s · marker pitch² is what D = k_s F_s measures (Si et al. 2022, Eq. 1), ℓ, the decay, is
-how far the motion reaches beside the contact, and ε is the part of the compliance that a point has
-by itself. ℓ = 0 is Winkler's foundation, without coupling of neighbours. A point of the contact
-patch follows the object while |t| ≤ μ p and slips above, p being the pressure there. Nothing else
-is assumed of the patch: the rim, where p falls to 0, slips first (Cattaneo 1938, Mindlin 1949).
+how far the motion reaches aside of the contact (√5 ℓ ahead of it, as on a thin bonded layer that
+keeps its volume), and ε is the part of the compliance that a point has by itself. ℓ = 0 is
+Winkler's foundation, without coupling of neighbours. A point of the contact patch follows the
+object while |t| ≤ μ p and slips above, p being the pressure there: the rim, where p falls to 0,
+slips first (Cattaneo 1938, Mindlin 1949).
 
 What it remembers are w and t: a point that is touched sticks from where it is, one that slips keeps
 its traction and follows from there, one that is left springs back. Between two frames the object is
 taken to be pressed first, then sheared and turned.
 
-What remains approximate: motion along and across the shear reaches as far, pressure alone moves no
-point (``contact.shear.dilation_mm`` is added to the markers), and beyond the window the gel goes on
-without an end.
+What remains approximate: a small contact that is turned moves the gel too little
+(``validation.shear.referee``), pressure alone moves no point (``contact.shear.dilation_mm`` is
+added to the markers), beyond the window the gel goes on without an end, and D, which markers show
+of it, is taken to be k_s F_s wherever the contact is.
 """
 
 import math
@@ -48,13 +50,13 @@ GRAIN = 1e-9  # N/mm² to which the state is rounded, so that the next frame doe
 class ShearState:
     """The shear of the gel's surface in one frame, on the lattice of its ``ShearField``.
 
-    ``sheet`` (rows, columns, 2) is w and ``traction`` (rows, columns, 2) t, N/mm²: the surface has
-    moved by c (w + ε t). ``held`` is the part of the traction that sticking and slipping give (see
-    ``ShearField.step``), ``pressure`` (rows, columns) the normal part, ``sticks`` (rows, columns)
-    where the object holds the gel. ``slide`` (3,) is by how much the object has moved since the
-    frame before: along x and y at ``center_mm`` (times c: mm), and its turn. ``seen`` (2,) is the
-    part of the motion along x and y that the markers show: D, their sum, is k_s F_s wherever the
-    contact is, and u larger by 1 / ``seen``.
+    ``sheet`` (rows, columns, 2) is w and ``held`` (rows, columns, 2) the traction t of sticking and
+    slipping, N/mm², from which the surface has moved by c (w + ε t). ``traction`` has beside it
+    what friction cannot hold of the force (see ``ShearField.step``). ``pressure`` (rows, columns)
+    is the normal part, ``sticks`` (rows, columns) where the object holds the gel. ``slide`` (3,) is
+    by how much the object has moved since the frame before: along x and y at ``center_mm`` (times
+    c: mm), and its turn. ``seen`` (2,) is the part of the motion along x and y that the markers
+    show: D, their sum, is k_s F_s wherever the contact is, and u larger by 1 / ``seen``.
     """
 
     sheet: Float64

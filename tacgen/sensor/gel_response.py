@@ -32,9 +32,9 @@ class GelLoad:
     is the centre of pressure, None where it is not known; loads that differ in it alone are equal.
 
     ``force_n`` (3,) is the force that this is the response to, along x, y and into the gel, None
-    where it is not known; ``k_s_mm_per_n`` the law's, 0 where it has none. Where the gel slips
-    under the object is told by ``friction``, how far its motion reaches by ``decay_mm``; None is
-    the sensor's own.
+    where it is not known; ``k_s_mm_per_n`` the law's, 0 where it has none. ``friction`` is
+    Coulomb's coefficient of gel and object, ``decay_mm`` how far beside the contact the gel moves
+    with it; None: the sensor's own.
     """
 
     volume_mm3: float | None = None

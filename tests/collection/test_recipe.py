@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
-from tacgen.collection.recipe import Recipe, load_recipe
+from tacgen.collection.recipe import DatasetOptions, Recipe, load_recipe
 from tacgen.core.config import Axis
 from tacgen.core.errors import RecipeError
 from tacgen.core.resources import packaged
@@ -381,3 +381,9 @@ def test_a_part_of_a_key_hints_the_key(tmp_path, text, words):
     (tmp_path / "r.yaml").write_text(f"name: a\nobjects: [can]\n{text}")
     with pytest.raises(RecipeError, match=words):
         load_recipe(tmp_path / "r.yaml")
+
+
+def test_a_dataset_section_is_written_with_what_was_set_alone():
+    for asked in ({"shard_size": 3}, {"depth": "all"}, {"markers": True}):
+        section = DatasetOptions.model_validate(asked)
+        assert section.model_dump(mode="json", exclude_unset=True) == asked

@@ -232,3 +232,12 @@ def test_a_run_of_before_there_were_channels_still_predicts(toy, tmp_path):
     found = evaluate(run, data=toy)
     assert (found["auroc"], found["accuracy"]) == (wanted["auroc"], wanted["accuracy"])
     assert "channels" not in (run / "run.json").read_text()
+
+
+def test_a_recipe_is_written_with_what_was_set_alone():
+    given = {"name": "toy", "input": {"size_px": [32, 40]}}
+    recipe = TrainRecipe.model_validate(given)
+    assert recipe.model_dump(mode="json", exclude_unset=True) == given
+    with_channels = {"name": "toy", "input": {"channels": ["image", "markers"]}}
+    recipe = TrainRecipe.model_validate(with_channels)
+    assert recipe.model_dump(mode="json", exclude_unset=True) == with_channels
