@@ -13,6 +13,7 @@ PACKAGE = ROOT / "tacgen"
 ORDER = (
     "cli",
     "study",
+    "envs",
     "diagnose",
     "cluster",
     "calibrate",

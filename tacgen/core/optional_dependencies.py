@@ -10,6 +10,7 @@ EXTRAS = {
     "cluster": ("submitit",),
     "view": ("rerun",),
     "batch": ("warp",),
+    "gym": ("gymnasium",),
 }
 
 
