@@ -11,6 +11,8 @@ import signal
 import sys
 import threading
 import traceback
+from importlib.machinery import ExtensionFileLoader
+from types import FrameType
 
 import typer
 
@@ -32,6 +34,8 @@ from tacgen.cli.common import app
 from tacgen.core.disk import DiskFile, disk_message
 from tacgen.core.errors import Interrupted, TacgenError
 from tacgen.core.progress import LOG
+
+RETRY_S = 0.01  # after which an interruption that came amid C code is tried again
 
 
 def main() -> None:
@@ -76,17 +80,35 @@ def _stop(message: str, exit_code: int) -> None:
 _interruptions: list[int] = []
 
 
-def _interrupt(_signal: int, _frame: object) -> None:
+def _interrupt(_signal: int, frame: FrameType | None) -> None:
     _interruptions.append(_signal)
     # The thread of a pool whose processes are ended under it has nothing to say.
     threading.excepthook = lambda _thrown: None
-    if not DiskFile.holds_interruptions():
+    if DiskFile.holds_interruptions():
+        return
+    if _is_amid_c_code(frame):
+        signal.setitimer(signal.ITIMER_REAL, RETRY_S)
+    else:
         raise Interrupted
+
+
+def _is_amid_c_code(frame: FrameType | None) -> bool:
+    """Whether what runs was called by C code that an exception would end the process in.
+
+    That is an extension module that starts, and the compiler's callbacks.
+    """
+    while frame is not None:
+        if isinstance(frame.f_locals.get("self"), ExtensionFileLoader):
+            return True
+        if frame.f_globals.get("__name__", "") in ("numba.core.codegen", "llvmlite.binding.ffi"):
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _raise_again(ignored: "sys.UnraisableHookArgs") -> None:
     """What a signal raises amid a callback of C code is dropped there: raise it once more."""
     if isinstance(ignored.exc_value, Interrupted):
-        signal.setitimer(signal.ITIMER_REAL, 0.01)
+        signal.setitimer(signal.ITIMER_REAL, RETRY_S)
     else:
         sys.__unraisablehook__(ignored)

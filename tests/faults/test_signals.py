@@ -12,6 +12,7 @@ import pytest
 
 from tacgen.core.disk import DiskFile
 from tacgen.core.errors import Interrupted
+from tacgen.optics.deform import deform
 from tests.dataset.conftest import collect_toy, make_spec
 from validation.processes.random_kills import processes_of
 
@@ -101,6 +102,60 @@ tacgen.cli.main()
     )
     assert done.returncode == 130
     assert done.stderr == "tacgen: interrupted; finished work is kept\n"
+
+
+AMID_AN_IMPORT = """
+import importlib.machinery, importlib.util, pathlib, manifold3d
+def app():
+    # An extension module that calls Python as it starts, where an exception would abort it.
+    class Loader(importlib.machinery.ExtensionFileLoader):
+        def exec_module(self, module):
+            try:
+                interrupt()
+            except BaseException:
+                os.abort()
+    file = manifold3d.__file__
+    spec = importlib.util.spec_from_loader("again", Loader("again", file))
+    Loader("again", file).exec_module(None)
+    time.sleep(5)
+"""
+AMID_COMPILING = """
+from numba.core.codegen import JITCodeLibrary
+def app():
+    before = JITCodeLibrary._object_getbuffer_hook.__func__
+    def hook(cls, *given):
+        code = before(cls, *given)
+        if code is not None:  # of a kernel on disk: an exception here would leave it no address
+            interrupt()
+        return code
+    JITCodeLibrary._object_getbuffer_hook = classmethod(hook)
+    import numpy as np
+    from tacgen.optics.deform import deform
+    deform(np.zeros((8, 8)), 0.1)
+    time.sleep(5)
+"""
+
+
+@pytest.mark.parametrize("amid", [AMID_AN_IMPORT, AMID_COMPILING])
+def test_an_interruption_waits_for_c_code_that_it_would_crash(amid):
+    deform(np.zeros((8, 8)), 0.1)  # whose kernel is on disk then
+    begin = """
+import os, signal, time
+import tacgen.cli
+def interrupt():
+    os.kill(os.getpid(), signal.SIGINT)
+    for _ in range(1000):
+        pass
+"""
+    end = """
+tacgen.cli.app = app
+tacgen.cli.main()
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", begin + amid + end], capture_output=True, text=True, check=False
+    )
+    assert done.stderr == "tacgen: interrupted; finished work is kept\n"
+    assert done.returncode == 130
 
 
 def test_a_signal_on_the_way_out_does_not_spoil_what_is_done():
