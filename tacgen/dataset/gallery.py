@@ -152,7 +152,7 @@ def _draw_motion(dataset: Dataset, cards: Sequence[dict[str, Any]]) -> float:
     gain = overlays.gain_of(largest_mm, overlays.spacing_mm(rest_mm))
     for card, pads in zip(cards, moved_mm, strict=True):
         steps = (gain * one / dataset.mm_per_px for one in pads)
-        card["motion"] = [overlays.lines_path(rest_px, step) for step in steps]
+        card["motion"] = [overlays.arrows_path(rest_px, step) for step in steps]
     return gain
 
 

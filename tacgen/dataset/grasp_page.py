@@ -121,7 +121,7 @@ class _Overlays:
         }
         if self._moved_mm is not None:
             steps_px = gain * self._moved_mm[k] / self._mm_per_px
-            found["moved"] = overlays.lines_path(self._rest_px, steps_px)
+            found["moved"] = overlays.arrows_path(self._rest_px, steps_px)
         if self.field_n is not None:
             paths = overlays.field_paths(self.field_n[k], largest_n, self._shape_px)
             found |= zip(("normal", "shear"), paths, strict=True)

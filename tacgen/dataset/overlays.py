@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from tacgen.core.arrays import FloatArray
 
 LEAST_SHARE = 0.01  # of the largest force of a cell, below which nothing is drawn
+HEAD_SHARE, MOST_HEAD_PX = 0.35, 6.0  # of an arrow: its head's share of the length, and the longest
 
 
 def gain_of(largest_mm: float, room_mm: float) -> float:
@@ -39,19 +40,27 @@ def dots_path(places_px: FloatArray) -> str:
     return "".join(f"M{x:.1f} {y:.1f}h0" for x, y in places_px)
 
 
-def lines_path(places_px: FloatArray, steps_px: FloatArray) -> str:
-    """A line from each of the places (M, 2) by its step (M, 2), where that is half a pixel."""
-    seen = np.linalg.norm(steps_px, axis=1) >= 0.5
-    pairs = zip(places_px[seen], steps_px[seen], strict=True)
-    return "".join(f"M{x:.1f} {y:.1f}l{dx:.1f} {dy:.1f}" for (x, y), (dx, dy) in pairs)
+def arrows_path(places_px: FloatArray, steps_px: FloatArray) -> str:
+    """An arrow from each of the places (M, 2) by its step (M, 2), where that is half a pixel."""
+    length = np.linalg.norm(steps_px, axis=1)
+    seen = length >= 0.5
+    head = np.minimum(HEAD_SHARE, MOST_HEAD_PX / length[seen, None]) * steps_px[seen]
+    side = head[:, ::-1] * (-0.5, 0.5)
+    return "".join(
+        f"M{x:.1f} {y:.1f}l{dx:.1f} {dy:.1f}"
+        f"m{ax:.1f} {ay:.1f}l{-ax:.1f} {-ay:.1f}l{bx:.1f} {by:.1f}"
+        for (x, y), (dx, dy), (ax, ay), (bx, by) in zip(
+            places_px[seen], steps_px[seen], side - head, -side - head, strict=True
+        )
+    )
 
 
 def field_paths(
     field_n: NDArray[np.floating], largest_n: float, shape_px: tuple[int, int]
 ) -> tuple[str, str]:
-    """Squares whose area is each cell's normal force, lines along its shear; (rows, columns, 3).
+    """Squares whose area is each cell's normal force, arrows along its shear; (rows, columns, 3).
 
-    A square of the ``largest_n`` fills its cell, a line of it is as long as the cell.
+    A square of the ``largest_n`` fills its cell, an arrow of it is as long as the cell.
     """
     rows, columns, _ = field_n.shape
     cell_px = np.array([shape_px[1] / columns, shape_px[0] / rows])
@@ -63,4 +72,4 @@ def field_paths(
         f"M{x - side / 2:.1f} {y - side / 2:.1f}h{side:.1f}v{side:.1f}h{-side:.1f}z"
         for (x, y), side in zip(middle_px, sides_px, strict=True)
     )
-    return squares, lines_path(middle_px, force[:, :2] * cell_px.min())
+    return squares, arrows_path(middle_px, force[:, :2] * cell_px.min())

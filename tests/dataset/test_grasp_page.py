@@ -128,14 +128,18 @@ def test_paths_are_in_the_images_pixels():
     assert overlays.spacing_mm(rest_mm) == 2.0
     places = overlays.to_pixels(rest_mm, 0.5, (24, 32))
     np.testing.assert_array_equal(places[0], (14.0, 10.0))
-    steps = np.array([[3.0, 0.0], [0.1, 0.1], [0.0, -2.0], [0.0, 0.0]])
-    assert overlays.lines_path(places, steps) == "M14.0 10.0l3.0 0.0M14.0 14.0l0.0 -2.0"
+    steps = np.array([[4.0, 0.0], [0.1, 0.1], [0.0, -4.0], [0.0, 0.0]])
+    # A line, and a head whose barbs reach back by 0.35 of it and half as far aside.
+    assert overlays.arrows_path(places, steps) == (
+        "M14.0 10.0l4.0 0.0m-1.4 0.7l1.4 -0.7l-1.4 -0.7"
+        "M14.0 14.0l0.0 -4.0m0.7 1.4l-0.7 -1.4l-0.7 1.4"
+    )
     field_n = np.zeros((2, 4, 3))
     field_n[1, 2] = 0.5, 0.0, 2.0
-    squares, lines = overlays.field_paths(field_n, 2.0, (24, 32))
+    squares, arrows = overlays.field_paths(field_n, 2.0, (24, 32))
     # A cell of 8 × 12 px; the largest force fills a square of 8 px about its middle, (20, 18).
     assert squares == "M16.0 14.0h8.0v8.0h-8.0z"
-    assert lines == "M20.0 18.0l2.0 0.0"
+    assert arrows.startswith("M20.0 18.0l2.0 0.0m-0.7 0.3")
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,6 @@ from validation.processes.random_kills import COMMANDS, prepare, trials
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_command_that_is_ended_at_any_moment_ends_and_goes_on(name: str, tmp_path: Path) -> None:
     prepare(tmp_path)
-    found = list(trials(tmp_path, 2, (name,), seed=1))
+    found = list(trials(tmp_path, 1, (name,), seed=1))  # at half of its time
     assert not [trial for trial in found if trial.problems]
     assert any(trial.was_amid for trial in found)
