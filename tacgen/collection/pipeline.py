@@ -22,7 +22,7 @@ from tacgen.core.records import ContactFrame, GraspConfig, GraspObject, GraspTra
 from tacgen.dataset import DatasetSpec, GraspSample, PadSample
 from tacgen.optics import load_table
 from tacgen.physics import FrameRequest, GraspSimulator
-from tacgen.physics.grasp import StartedGrasp, start_grasp
+from tacgen.physics.grasp import StartedGrasp, not_executed, start_grasp
 from tacgen.sensor.description import load_sensor
 from tacgen.sensor.gel_response import GelLoad, gel_loads, rounded_pose_and_load
 from tacgen.sensor.tactile_pad import Imprint, TactileFrame, TactilePad
@@ -30,6 +30,7 @@ from tacgen.sensor.tactile_pad import Imprint, TactileFrame, TactilePad
 CALIBRATION = ("table", "contact_law")
 # Streams of one grasp's random numbers.
 _STREAM_VARIATION, _STREAM_NOISE, _STREAM_NOISE_AT_REST = range(3)
+NOTHING = "nothing has been grasped yet"
 _UNLOADED = ContactFrame(0.0, 0.0, np.zeros(2), 0.0, np.eye(4))
 
 
@@ -94,11 +95,7 @@ class GraspPipeline:
         been grasped before: where the gripper comes to is drawn anew, and so is the camera's noise.
         ``frames`` are taken instead of the recipe's.
         """
-        entry = self.recipe.objects[planned.entry]
-        variation = self.variation(planned, attempt)
-        grasped = perturbed_object(self._object(entry), variation.perturbation)
-        config = vary_config(planned.config, variation)
-        recipe = self.recipe
+        grasped, config, variation = self._drawn(planned, attempt)
         patch_of = partial(
             gel_patch,
             self._pad.indenter,
@@ -111,20 +108,30 @@ class GraspPipeline:
             grasped,
             config,
             self._settings,
-            frames=frames or recipe.frames,
+            frames=frames or self.recipe.frames,
             patch_of=patch_of,
             keeps_past=bool(self._law.effects),
         )
         return HeldGrasp(started, partial(SimulatedGrasp, planned, grasped, config, variation))
 
-    def variation(self, planned: PlannedGrasp, attempt: int = 0) -> Variation:
-        """What is drawn for a grasp, or for a later ``attempt`` at the same object."""
+    def at_rest(self, planned: PlannedGrasp) -> SimulatedGrasp:
+        """What a planned grasp draws, before anything is grasped."""
+        drawn = self._drawn(planned, 0)
+        pads = self._settings.sensing_pads
+        return SimulatedGrasp(planned, *drawn, not_executed(drawn[1], "no_contact", NOTHING, pads))
+
+    def _drawn(
+        self, planned: PlannedGrasp, attempt: int
+    ) -> tuple[GraspObject, GraspConfig, Variation]:
+        """The object, the configuration as it is carried out, and what was drawn for them."""
         spread = self.recipe.randomize
-        drawn = draw_variation(spread, rng_of(planned.seed, _STREAM_VARIATION))
-        if not attempt:
-            return drawn
-        anew = draw_variation(spread, rng_of(planned.seed, _STREAM_VARIATION, attempt))
-        return replace(drawn, position_mm=anew.position_mm, yaw_rad=anew.yaw_rad)
+        variation = draw_variation(spread, rng_of(planned.seed, _STREAM_VARIATION))
+        if attempt:
+            anew = draw_variation(spread, rng_of(planned.seed, _STREAM_VARIATION, attempt))
+            variation = replace(variation, position_mm=anew.position_mm, yaw_rad=anew.yaw_rad)
+        base = self._object(self.recipe.objects[planned.entry])
+        grasped = perturbed_object(base, variation.perturbation)
+        return grasped, vary_config(planned.config, variation), variation
 
     def render(
         self,
@@ -160,6 +167,11 @@ class GraspPipeline:
             before = pose, load
         return images, rendered
 
+    def picture(self, grasp: SimulatedGrasp) -> NDArray[np.uint8]:
+        """The scene from outside at the moment of grasp, (h, w, 3)."""
+        trace, gripper = grasp.trace, self.simulator.robot.gripper
+        return grasp_picture(grasp.grasped, grasp.config, trace, trace.grasp_frame, gripper)
+
     def sample(self, planned: PlannedGrasp) -> GraspSample:
         """Simulate one grasp and render the images of its pads."""
         grasp = self.simulate(planned)
@@ -167,8 +179,7 @@ class GraspPipeline:
         executed = trace.status == "executed"
         picture = None
         if self.recipe.dataset.scene_pictures:
-            gripper = self.simulator.robot.gripper
-            picture = grasp_picture(grasp.grasped, grasp.config, trace, frame, gripper)
+            picture = self.picture(grasp)
         return GraspSample(
             config=planned.config,
             seed=planned.seed,
@@ -176,7 +187,7 @@ class GraspPipeline:
             status=trace.status,
             label=trace.label,
             failure_mode=trace.failure_mode,
-            pads=self.pad_samples(grasp),
+            pads=self.pad_samples(grasp) if executed else {},
             object_pose=trace.object_pose if executed else None,
             rise_mm=trace.rise_mm,
             turn_rad=trace.turn_rad,
@@ -192,40 +203,34 @@ class GraspPipeline:
         )
 
     def pad_samples(self, grasp: SimulatedGrasp, attempt: int = 0) -> dict[str, PadSample]:
-        """What each sensing pad shows of an executed grasp; ``attempt`` is that of ``start``."""
-        if grasp.trace.status != "executed":
-            return {}
-        noise = self._noise_of(grasp.planned, attempt)
-        return {pad: self._pad_sample(grasp, pad, noise) for pad in grasp.trace.frames}
+        """What each sensing pad shows; gels at rest where the grasp was not executed.
+
+        ``attempt`` is that of ``start``.
+        """
+        trace, executed = grasp.trace, grasp.trace.status == "executed"
+        stream = _STREAM_NOISE if executed else _STREAM_NOISE_AT_REST
+        noise = self._noise_of(grasp.planned, stream, attempt)
+        count = len(frame_times_s(self.recipe))
+        samples = {}
+        for pad, frames in trace.frames.items():
+            if executed:
+                images, rendered = self.render(grasp, pad, rng=noise)
+                imprints = [one.imprint for one in rendered]
+            else:
+                frames, imprints = (_UNLOADED,) * count, [Imprint()] * count
+                images = np.stack([self._pad.image(one, rng=noise) for one in imprints])
+            rgb = with_gain(images, grasp.variation.gain_factor)
+            samples[pad] = self._pad_sample(rgb, frames, imprints, trace.grasp_frame)
+        return samples
 
     def _noise_of(
-        self, planned: PlannedGrasp, attempt: int, stream: int = _STREAM_NOISE
+        self, planned: PlannedGrasp, stream: int, attempt: int
     ) -> np.random.Generator | None:
         if self.recipe.optics.noise is not True:
             return None
         return rng_of(planned.seed, stream, *([attempt] if attempt else []))
 
     def _pad_sample(
-        self, grasp: SimulatedGrasp, pad: str, noise: np.random.Generator | None
-    ) -> PadSample:
-        images, rendered = self.render(grasp, pad, rng=noise)
-        imprints = [one.imprint for one in rendered]
-        rgb = with_gain(images, grasp.variation.gain_factor)
-        return self._as_sample(rgb, grasp.trace.frames[pad], imprints, grasp.trace.grasp_frame)
-
-    def samples_at_rest(self, planned: PlannedGrasp, attempt: int = 0) -> dict[str, PadSample]:
-        """What the sensing pads show where nothing is grasped; ``attempt`` is that of ``start``."""
-        count = len(frame_times_s(self.recipe))
-        noise = self._noise_of(planned, attempt, _STREAM_NOISE_AT_REST)
-        gain = self.variation(planned).gain_factor
-        frames, imprints = [_UNLOADED] * count, [Imprint()] * count
-        samples = {}
-        for pad in self._settings.sensing_pads:
-            images = np.stack([self._pad.image(one, rng=noise) for one in imprints])
-            samples[pad] = self._as_sample(with_gain(images, gain), frames, imprints, 0)
-        return samples
-
-    def _as_sample(
         self,
         rgb: NDArray[np.uint8],
         frames: Sequence[ContactFrame],

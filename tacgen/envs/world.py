@@ -63,6 +63,9 @@ class GraspWorld:
         values = np.array([grasp_values(grasp) for grasp in self.plan])
         self.low, self.high = values.min(axis=0), values.max(axis=0)
         """Smallest and largest of ``AXES`` (5,) in the plan, over all objects."""
+        self._by_object: dict[str, list[PlannedGrasp]] = {}
+        for grasp in self.plan:
+            self._by_object.setdefault(grasp.config.object, []).append(grasp)
         self._is_open = False
         self._planned: PlannedGrasp | None = None
         self._attempt = 0
@@ -76,7 +79,7 @@ class GraspWorld:
         if object_name is None:
             object_name = self.objects[int(rng.integers(len(self.objects)))]
         require_known("object", object_name, self.objects, RecipeError)
-        own = [grasp for grasp in self.plan if grasp.config.object == object_name]
+        own = self._by_object[object_name]
         return replace(own[int(rng.integers(len(own)))], seed=int(rng.integers(2**63)))
 
     def place(self, planned: PlannedGrasp) -> None:
@@ -105,9 +108,10 @@ class GraspWorld:
         self._held = None
         return self._touch(whole)
 
-    def untouched(self) -> dict[str, PadSample]:
-        """What the pads show before the first grasp: gels at rest."""
-        return self.pipeline.samples_at_rest(self._standing(), self._attempt)
+    def untouched(self) -> Touch:
+        """What is known before the first grasp: gels at rest, and what was drawn."""
+        grasp = self.pipeline.at_rest(self._standing())
+        return Touch(grasp, self.pipeline.pad_samples(grasp))
 
     def close(self) -> None:
         """End the physics; a later grasp starts it again."""
@@ -136,9 +140,7 @@ class GraspWorld:
         return self._held
 
     def _touch(self, grasp: SimulatedGrasp) -> Touch:
-        attempt = self._attempt - 1
-        pads = self.pipeline.pad_samples(grasp, attempt)
-        return Touch(grasp, pads or self.pipeline.samples_at_rest(grasp.planned, attempt))
+        return Touch(grasp, self.pipeline.pad_samples(grasp, self._attempt - 1))
 
 
 def grasp_values(planned: PlannedGrasp) -> NDArray[np.float64]:

@@ -449,17 +449,24 @@ class StartedGrasp:
         )
 
     def _not_executed(self, status: Status, reason: str) -> GraspTrace:
-        return GraspTrace(
-            config=self.config,
-            status=status,
-            label=LABEL_NOT_EXECUTED,
-            failure_mode="",
-            frames=dict.fromkeys(self.settings.sensing_pads, ()),
-            object_pose=frozen_array(np.zeros((0, 7))),
-            rise_mm=0.0,
-            turn_rad=0.0,
-            reason=reason,
-        )
+        return not_executed(self.config, status, reason, self.settings.sensing_pads)
+
+
+def not_executed(
+    config: GraspConfig, status: Status, reason: str, pads: Sequence[str]
+) -> GraspTrace:
+    """The trace of a grasp that was not executed, without frames of its sensing ``pads``."""
+    return GraspTrace(
+        config=config,
+        status=status,
+        label=LABEL_NOT_EXECUTED,
+        failure_mode="",
+        frames=dict.fromkeys(pads, ()),
+        object_pose=frozen_array(np.zeros((0, 7))),
+        rise_mm=0.0,
+        turn_rad=0.0,
+        reason=reason,
+    )
 
 
 def trapezoid(

@@ -121,7 +121,7 @@ def test_draws_come_from_the_generator_alone():
 def test_a_grasp_that_cannot_be_carried_out_shows_gels_at_rest():
     world = GraspWorld(small_recipe(optics={"noise": False}, randomize={}))
     world.place(world.plan[0])
-    rest = world.untouched()["left"].rgb
+    rest = world.untouched().pads["left"].rgb
     touch = world.grasp(np.array([4.0, 0.0, 0.0, 5.0, 0.0]))  # the pads would be in the table
     assert touch.trace.status == "unreachable"
     np.testing.assert_array_equal(touch.pads["left"].rgb, rest)
@@ -133,7 +133,7 @@ def test_a_grasp_that_cannot_be_carried_out_shows_gels_at_rest():
 def test_camera_noise_differs_before_and_in_a_grasp():
     world = GraspWorld(small_recipe(optics={"noise": True}, randomize={}))
     world.place(world.plan[0])
-    rest = world.untouched()["left"].rgb.astype(int)
+    rest = world.untouched().pads["left"].rgb.astype(int)
     missed = [world.grasp(np.array([4.0, 0.0, 0.0, 5.0, 0.0])).pads["left"].rgb for _ in range(2)]
     world.close()
     assert not np.array_equal(missed[0], missed[1])
