@@ -1,7 +1,7 @@
 """One grasp from the plan to the sample that a shard holds: where the stages are joined."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 
@@ -21,14 +21,17 @@ from tacgen.core.errors import TableError
 from tacgen.core.records import ContactFrame, GraspConfig, GraspObject, GraspTrace
 from tacgen.dataset import DatasetSpec, GraspSample, PadSample
 from tacgen.optics import load_table
-from tacgen.physics import GraspSimulator, run_grasp
+from tacgen.physics import FrameRequest, GraspSimulator
+from tacgen.physics.grasp import StartedGrasp, not_executed, start_grasp
 from tacgen.sensor.description import load_sensor
 from tacgen.sensor.gel_response import GelLoad, gel_loads, rounded_pose_and_load
 from tacgen.sensor.tactile_pad import Imprint, TactileFrame, TactilePad
 
 CALIBRATION = ("table", "contact_law")
 # Streams of one grasp's random numbers.
-_STREAM_VARIATION, _STREAM_NOISE = range(2)
+_STREAM_VARIATION, _STREAM_NOISE, _STREAM_NOISE_AT_REST = range(3)
+NOTHING = "nothing has been grasped yet"
+_UNLOADED = ContactFrame(0.0, 0.0, np.zeros(2), 0.0, np.eye(4))
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,18 +45,35 @@ class SimulatedGrasp:
     trace: GraspTrace
 
 
+@dataclass(frozen=True, slots=True)
+class HeldGrasp:
+    """A grasp that is held and not yet lifted, until the pipeline starts the next one."""
+
+    _started: StartedGrasp
+    _simulated: Callable[[GraspTrace], SimulatedGrasp]
+
+    def look(self) -> SimulatedGrasp:
+        """The grasp up to its lift; ``StartedGrasp.held`` says what is known of it."""
+        return self._simulated(self._started.held())
+
+    def lift(self) -> SimulatedGrasp:
+        """The whole grasp."""
+        return self._simulated(self._started.lift())
+
+
 class GraspPipeline:
     """A simulator and a sensor, kept open for many grasps of one recipe; a context manager.
 
     A sample depends on the recipe and its place in the plan alone, not on the grasps before it.
+    ``objects_kept`` is how many objects stay loaded.
     """
 
-    def __init__(self, recipe: Recipe) -> None:
+    def __init__(self, recipe: Recipe, *, objects_kept: int = 4) -> None:
         self.recipe, self._settings = recipe, recipe.physics_settings
         self._law = contact_law(recipe.contact)
         self._pad = tactile_pad(recipe)
         self.simulator = GraspSimulator(recipe.robot.spec(), recipe.physics.engine)
-        self._object = lru_cache(maxsize=4)(recipe_object)
+        self._object = lru_cache(maxsize=objects_kept)(recipe_object)
 
     def __enter__(self) -> "GraspPipeline":
         self.simulator.__enter__()
@@ -64,12 +84,18 @@ class GraspPipeline:
 
     def simulate(self, planned: PlannedGrasp) -> SimulatedGrasp:
         """The physics of one grasp."""
-        entry = self.recipe.objects[planned.entry]
-        draws = rng_of(planned.seed, _STREAM_VARIATION)
-        variation = draw_variation(self.recipe.randomize, draws)
-        grasped = perturbed_object(self._object(entry), variation.perturbation)
-        config = vary_config(planned.config, variation)
-        recipe = self.recipe
+        return self.start(planned).lift()
+
+    def start(
+        self, planned: PlannedGrasp, attempt: int = 0, *, frames: FrameRequest | None = None
+    ) -> HeldGrasp:
+        """The physics of one grasp up to the lift.
+
+        ``attempt`` counts how often this object, with what was drawn of it and of the sensor, has
+        been grasped before: where the gripper comes to is drawn anew, and so is the camera's noise.
+        ``frames`` are taken instead of the recipe's.
+        """
+        grasped, config, variation = self._drawn(planned, attempt)
         patch_of = partial(
             gel_patch,
             self._pad.indenter,
@@ -77,16 +103,35 @@ class GraspPipeline:
             grasped.surface,
             k_n_factor=variation.k_n_factor,
         )
-        trace = run_grasp(
+        started = start_grasp(
             self.simulator,
             grasped,
             config,
             self._settings,
-            frames=recipe.frames,
+            frames=frames or self.recipe.frames,
             patch_of=patch_of,
             keeps_past=bool(self._law.effects),
         )
-        return SimulatedGrasp(planned, grasped, config, variation, trace)
+        return HeldGrasp(started, partial(SimulatedGrasp, planned, grasped, config, variation))
+
+    def at_rest(self, planned: PlannedGrasp) -> SimulatedGrasp:
+        """What a planned grasp draws, before anything is grasped."""
+        drawn = self._drawn(planned, 0)
+        pads = self._settings.sensing_pads
+        return SimulatedGrasp(planned, *drawn, not_executed(drawn[1], "no_contact", NOTHING, pads))
+
+    def _drawn(
+        self, planned: PlannedGrasp, attempt: int
+    ) -> tuple[GraspObject, GraspConfig, Variation]:
+        """The object, the configuration as it is carried out, and what was drawn for them."""
+        spread = self.recipe.randomize
+        variation = draw_variation(spread, rng_of(planned.seed, _STREAM_VARIATION))
+        if attempt:
+            anew = draw_variation(spread, rng_of(planned.seed, _STREAM_VARIATION, attempt))
+            variation = replace(variation, position_mm=anew.position_mm, yaw_rad=anew.yaw_rad)
+        base = self._object(self.recipe.objects[planned.entry])
+        grasped = perturbed_object(base, variation.perturbation)
+        return grasped, vary_config(planned.config, variation), variation
 
     def render(
         self,
@@ -122,18 +167,19 @@ class GraspPipeline:
             before = pose, load
         return images, rendered
 
+    def picture(self, grasp: SimulatedGrasp) -> NDArray[np.uint8]:
+        """The scene from outside at the moment of grasp, (h, w, 3)."""
+        trace, gripper = grasp.trace, self.simulator.robot.gripper
+        return grasp_picture(grasp.grasped, grasp.config, trace, trace.grasp_frame, gripper)
+
     def sample(self, planned: PlannedGrasp) -> GraspSample:
         """Simulate one grasp and render the images of its pads."""
         grasp = self.simulate(planned)
         trace, frame = grasp.trace, grasp.trace.grasp_frame
         executed = trace.status == "executed"
-        adds_noise = self.recipe.optics.noise is True
-        noise = rng_of(planned.seed, _STREAM_NOISE) if adds_noise else None
-        pads = {pad: self._pad_sample(grasp, pad, frame, noise) for pad in trace.frames if executed}
         picture = None
         if self.recipe.dataset.scene_pictures:
-            gripper = self.simulator.robot.gripper
-            picture = grasp_picture(grasp.grasped, grasp.config, trace, frame, gripper)
+            picture = self.picture(grasp)
         return GraspSample(
             config=planned.config,
             seed=planned.seed,
@@ -141,7 +187,7 @@ class GraspPipeline:
             status=trace.status,
             label=trace.label,
             failure_mode=trace.failure_mode,
-            pads=pads,
+            pads=self.pad_samples(grasp) if executed else {},
             object_pose=trace.object_pose if executed else None,
             rise_mm=trace.rise_mm,
             turn_rad=trace.turn_rad,
@@ -156,21 +202,50 @@ class GraspPipeline:
             reason=trace.reason,
         )
 
+    def pad_samples(self, grasp: SimulatedGrasp, attempt: int = 0) -> dict[str, PadSample]:
+        """What each sensing pad shows; gels at rest where the grasp was not executed.
+
+        ``attempt`` is that of ``start``.
+        """
+        trace, executed = grasp.trace, grasp.trace.status == "executed"
+        stream = _STREAM_NOISE if executed else _STREAM_NOISE_AT_REST
+        noise = self._noise_of(grasp.planned, stream, attempt)
+        count = len(frame_times_s(self.recipe))
+        samples = {}
+        for pad, frames in trace.frames.items():
+            if executed:
+                images, rendered = self.render(grasp, pad, rng=noise)
+                imprints = [one.imprint for one in rendered]
+            else:
+                frames, imprints = (_UNLOADED,) * count, [Imprint()] * count
+                images = np.stack([self._pad.image(one, rng=noise) for one in imprints])
+            rgb = with_gain(images, grasp.variation.gain_factor)
+            samples[pad] = self._pad_sample(rgb, frames, imprints, trace.grasp_frame)
+        return samples
+
+    def _noise_of(
+        self, planned: PlannedGrasp, stream: int, attempt: int
+    ) -> np.random.Generator | None:
+        if self.recipe.optics.noise is not True:
+            return None
+        return rng_of(planned.seed, stream, *([attempt] if attempt else []))
+
     def _pad_sample(
-        self, grasp: SimulatedGrasp, pad: str, frame: int, noise: np.random.Generator | None
+        self,
+        rgb: NDArray[np.uint8],
+        frames: Sequence[ContactFrame],
+        imprints: Sequence[Imprint],
+        moment: int,
     ) -> PadSample:
-        frames = grasp.trace.frames[pad]
-        images, rendered = self.render(grasp, pad, rng=noise)
-        imprints = [one.imprint for one in rendered]
         return PadSample(
-            rgb=with_gain(images, grasp.variation.gain_factor),
+            rgb=rgb,
             force_normal_n=np.array([frame.force_normal_n for frame in frames]),
             force_shear_n=np.array([frame.force_shear_n for frame in frames]),
             indentation_mm=np.array([imprint.indentation_mm for imprint in imprints]),
             saturated=np.array([imprint.saturated for imprint in imprints]),
             no_contact=np.array([imprint.status == "no_contact" for imprint in imprints]),
             outside_window=np.array([imprint.status == "outside_window" for imprint in imprints]),
-            **self._touch(frames, imprints, frame),
+            **self._touch(frames, imprints, moment),
         )
 
     def _touch(

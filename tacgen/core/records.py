@@ -209,6 +209,7 @@ class GraspTrace:
     where the grasp was not executed), ``grasp_frame`` the frame that was taken at that moment.
     ``lift_start_time_s`` and ``lift_end_time_s`` are on the same clock, as is ``outcome_time_s``:
     when the object passed the limit that made the grasp fail, else the end of the lift.
+    ``opening_mm`` is the distance between the pads at the moment of grasp.
     """
 
     config: GraspConfig
@@ -226,6 +227,7 @@ class GraspTrace:
     lift_start_time_s: float = float("nan")
     lift_end_time_s: float = float("nan")
     outcome_time_s: float = float("nan")
+    opening_mm: float = float("nan")
 
 
 @dataclass(frozen=True, slots=True)

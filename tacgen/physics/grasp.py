@@ -22,7 +22,7 @@ from tacgen.core.records import (
     Status,
     frozen_array,
 )
-from tacgen.core.units import M_PER_MM, PUBLISHED_K_N_MM3_PER_N
+from tacgen.core.units import M_PER_MM, MM_PER_M, PUBLISHED_K_N_MM3_PER_N
 from tacgen.physics import outcome
 from tacgen.physics.approach import approach, grasp_target
 from tacgen.physics.contacts import (
@@ -104,6 +104,8 @@ class GraspSimulator:
         self.robot = load_robot(robot) if isinstance(robot, str) else robot
         self.engine = engine_of(engine)
         self.world = _ENGINES[self.engine](self.robot)
+        self.started = 0
+        """How many grasps; the world is that of the latest."""
 
     def __enter__(self) -> "GraspSimulator":
         self.world.__enter__()
@@ -125,6 +127,8 @@ def run_grasp(
 ) -> GraspTrace:
     """Simulate one grasp of ``obj`` as ``config`` asks; frames in the gel frame (mm, N).
 
+    It is ``start_grasp`` and the lift of what that gives.
+
     The moment that a pad holds about its normal follows from the patch that ``patch_of`` finds at
     the moment of grasp; without it from that of a flat face on the pad's dome and a gel of the
     published k_n. An object's own ``spinning_friction_mm`` replaces either. With ``keeps_past``
@@ -136,6 +140,28 @@ def run_grasp(
     Raises ``PhysicsError`` if the force is not one the gripper can be asked for, or the simulator
     has another engine than ``settings``.
     """
+    return start_grasp(
+        simulator,
+        obj,
+        config,
+        settings,
+        frames=frames,
+        patch_of=patch_of,
+        keeps_past=keeps_past,
+    ).lift()
+
+
+def start_grasp(
+    simulator: GraspSimulator,
+    obj: GraspObject,
+    config: GraspConfig,
+    settings: PhysicsSettings,
+    *,
+    frames: FrameRequest,
+    patch_of: PatchOf | None = None,
+    keeps_past: bool = False,
+) -> "StartedGrasp":
+    """Simulate a grasp up to its lift; the arguments and what it raises are ``run_grasp``'s."""
     if simulator.engine != settings.engine:
         msg = (
             f"the settings ask for the engine {settings.engine!r}, the simulator has "
@@ -148,11 +174,13 @@ def run_grasp(
     if problem:
         msg = f"grasp {config.index} of {config.object!r}: force_n {problem}"
         raise PhysicsError(msg)
-    return _Grasp(simulator, obj, config, settings, frames, patch_of, keeps_past).run()
+    grasp = StartedGrasp(simulator, obj, config, settings, frames, patch_of, keeps_past)
+    grasp.hold()
+    return grasp
 
 
-class _Grasp:
-    """The state of one grasp while it runs."""
+class StartedGrasp:
+    """A grasp of ``start_grasp``, held and not yet lifted; the next one in its world ends it."""
 
     def __init__(
         self,
@@ -165,6 +193,9 @@ class _Grasp:
         keeps_past: bool,
     ) -> None:
         self.keeps_past = keeps_past
+        simulator.started += 1
+        self._simulator, self._number = simulator, simulator.started
+        self._ended: GraspTrace | None = None
         self.obj, self.config, self.settings = obj, config, settings
         self.patch_of = patch_of
         self.note = ""
@@ -189,20 +220,22 @@ class _Grasp:
             vertices_m=np.concatenate([p.vertices_mm for p in obj.collision]) * M_PER_MM,
         )
 
-    def run(self) -> GraspTrace:
-        """Approach, close, hold, lift, label."""
+    def hold(self) -> None:
+        """Approach, close and hold, to where the lift starts."""
         settings = self.settings
         if fall_deg := topples_deg(self.obj):
-            return self._not_executed(
+            self._ended = self._not_executed(
                 "toppled",
                 f"the object topples by {fall_deg:.0f}° before the grasp: its centre of mass is "
                 "not over what it stands on; rest its mesh, or correct its center_of_mass_mm",
             )
+            return
         target = grasp_target(self.config, settings)
         reason = approach(self.world, self.robot, self.gripper, self.obj, target, settings)
         reason = reason or self.robot.prepare_lift(settings.lift_mm * M_PER_MM)
         if reason:
-            return self._not_executed("unreachable", reason)
+            self._ended = self._not_executed("unreachable", reason)
+            return
         stroke_m = self.gripper.stroke_mm * M_PER_MM
         self.recorder = Recorder(
             self.world, self.robot, self.body, stroke_m, settings, self.frame_ends
@@ -211,21 +244,46 @@ class _Grasp:
             self.recorder.keep_past(PAST_STEPS)
         reason = self._close()
         if reason:
-            return self._not_executed("no_contact", reason)
-        grasped = self._observe()
-        capacity = self._load_pads(grasped)
+            self._ended = self._not_executed("no_contact", reason)
+            return
+        self._grasped = self._observe()
+        self._capacity = self._load_pads(self._grasped)
         self.recorder.advance_to_frame(self._steps(settings.hold_s))
         if self.ends_at_lift:
             lift_step = self.recorder.step
             earlier = [min(end, lift_step) for end in self.frame_ends[:-1]]
             self.frame_ends = [*earlier, lift_step]
+
+    def held(self) -> GraspTrace:
+        """The trace up to the lift, without an outcome: its label is −1, rise and turn are NaN.
+
+        Raises ``PhysicsError`` if it was asked for frames of the lift.
+        """
+        if self._ended is not None:
+            return self._ended
+        if self.frame_ends and not self.ends_at_lift:
+            msg = "frames until the outcome are there after the lift alone; ask for until: lift"
+            raise PhysicsError(msg)
+        return self._executed()
+
+    def lift(self) -> GraspTrace:
+        """Lift and label: the whole trace.
+
+        Raises ``PhysicsError`` if another grasp has been started in its world.
+        """
+        if self._ended is not None:
+            return self._ended
+        if self._simulator.started != self._number:
+            msg = "another grasp was started in this simulator, whose world it is now; lift that"
+            raise PhysicsError(msg)
         self.robot.fingers.couple()
         self.bodies = replace(self.bodies, lift_step=self.recorder.step + 1)
         start, lifted = self._lift()
         if self.frame_ends:
             self.recorder.advance(self.frame_ends[-1] - self.recorder.step)
-        motion = outcome.motion_of(start, lifted, self.bodies, settings.sensing_pads[0])
-        return self._executed(grasped, capacity, motion)
+        motion = outcome.motion_of(start, lifted, self.bodies, self.settings.sensing_pads[0])
+        self._ended = self._executed(motion)
+        return self._ended
 
     def _steps(self, seconds: float) -> int:
         return round(seconds / self.settings.time_step_s)
@@ -346,51 +404,69 @@ class _Grasp:
         samples.append(recorder.placement())
         return start, samples
 
-    def _executed(
-        self, grasped: Sequence[Snapshot], capacity: Capacity, motion: outcome.Motion
-    ) -> GraspTrace:
-        settings = self.settings
-        rise_mm, turn_rad = float(motion.rise_mm[-1]), float(motion.turn_rad[-1])
-        if not (math.isfinite(rise_mm) and math.isfinite(turn_rad)):
+    def _executed(self, motion: outcome.Motion | None = None) -> GraspTrace:
+        """The trace so far, or after the lift with that motion."""
+        settings, last = self.settings, self._grasped[-1]
+        end = last.object_position_m
+        if motion is not None:
+            end = float(motion.rise_mm[-1]), float(motion.turn_rad[-1])
+        if not np.isfinite(end).all():
             return self._not_executed("crashed", "the simulation became unstable; shorten its step")
-        label = outcome.label_of(rise_mm, turn_rad, settings)
         windows = [self.recorder.window(end) for end in self.frame_ends]
-        moment = grasped[-1].step
-        frame = frame_of_moment(self.frame_ends, moment)
+        frame = frame_of_moment(self.frame_ends, last.step)
         if len(windows) != 1:
-            windows[frame : frame + 1] = [list(grasped)]
-        return GraspTrace(
+            windows[frame : frame + 1] = [list(self._grasped)]
+        past = self.recorder.past()
+        held = GraspTrace(
             config=self.config,
             status="executed",
+            label=LABEL_NOT_EXECUTED,
+            failure_mode="",
+            frames=outcome.frames_of(windows, self.bodies, settings.sensing_pads, past),
+            object_pose=outcome.object_poses_mm([window[-1] for window in windows], self.bodies),
+            rise_mm=math.nan,
+            turn_rad=math.nan,
+            reason=self.note,
+            grasp_time_s=last.step * settings.time_step_s,
+            grasp_frame=frame,
+            opening_mm=sum(last.pad_distance_m) * MM_PER_M,
+        )
+        if motion is None:
+            return held
+        rise_mm, turn_rad = float(motion.rise_mm[-1]), float(motion.turn_rad[-1])
+        label = outcome.label_of(rise_mm, turn_rad, settings)
+        slip = outcome.first_slip(motion, settings)
+        return replace(
+            held,
             label=label,
             failure_mode="" if label == LABEL_SUCCESS else outcome.failure_mode(motion, settings),
-            frames=outcome.frames_of(
-                windows, self.bodies, settings.sensing_pads, self.recorder.past()
-            ),
-            object_pose=outcome.object_poses_mm([window[-1] for window in windows], self.bodies),
             rise_mm=rise_mm,
             turn_rad=turn_rad,
-            margin=slip_margin(capacity, self.obj.mass_kg, *outcome.first_slip(motion, settings)),
-            reason=self.note,
-            grasp_time_s=moment * settings.time_step_s,
-            grasp_frame=frame,
+            margin=slip_margin(self._capacity, self.obj.mass_kg, *slip),
             lift_start_time_s=float(motion.time_s[0]),
             lift_end_time_s=float(motion.time_s[-1]),
             outcome_time_s=outcome.outcome_time_s(motion, settings, label),
         )
 
     def _not_executed(self, status: Status, reason: str) -> GraspTrace:
-        return GraspTrace(
-            config=self.config,
-            status=status,
-            label=LABEL_NOT_EXECUTED,
-            failure_mode="",
-            frames=dict.fromkeys(self.settings.sensing_pads, ()),
-            object_pose=frozen_array(np.zeros((0, 7))),
-            rise_mm=0.0,
-            turn_rad=0.0,
-            reason=reason,
-        )
+        return not_executed(self.config, status, reason, self.settings.sensing_pads)
+
+
+def not_executed(
+    config: GraspConfig, status: Status, reason: str, pads: Sequence[str]
+) -> GraspTrace:
+    """The trace of a grasp that was not executed, without frames of its sensing ``pads``."""
+    return GraspTrace(
+        config=config,
+        status=status,
+        label=LABEL_NOT_EXECUTED,
+        failure_mode="",
+        frames=dict.fromkeys(pads, ()),
+        object_pose=frozen_array(np.zeros((0, 7))),
+        rise_mm=0.0,
+        turn_rad=0.0,
+        reason=reason,
+    )
 
 
 def trapezoid(
