@@ -252,7 +252,7 @@ class BatchSensor:
         compliance = law.k_depth_mm_per_n if self._is_depth else law.k_n_mm3_per_n
         factor = compliance.value if compliance is not None else 0.0
         self._renderer.move_markers(None)
-        if not (law.effects or self._is_sheared):
+        if not (law.effects or self._is_sheared or law.collision_margin_mm):
             self._renderer.ask(force, factor / per_unit)
             return []
         loads = self._gels.loads(force.numpy().astype(float), pulls[:, :2], pulls[:, 2], time_s)

@@ -27,7 +27,8 @@ def contact_law(contact: Contact) -> ContactLaw:
     law = ContactLaw.linear(contact.k_n_mm3_per_n, k_s, USUAL_PITCH_MM)
     if contact.law == "linear_depth":
         k_depth = Estimate(contact.k_depth_mm_per_n, 0.0, "mm/N")
-        return replace(law, law="linear_depth", k_depth_mm_per_n=k_depth)
+        law = replace(law, law="linear_depth", k_depth_mm_per_n=k_depth)
+        return replace(law, collision_margin_mm=contact.collision_margin_mm)
     return law
 
 
@@ -51,6 +52,10 @@ def gel_patch(
     *,
     k_n_factor: float = 1.0,
 ) -> ContactPatch:
-    """Where the gel presses on ``surface`` under the load of ``frame``, as its image shows it."""
+    """Where the gel presses on ``surface`` under the load of ``frame``, as its image shows it.
+
+    Contacts that a collision margin loses are lost to the image alone.
+    """
+    law = replace(law, collision_margin_mm=0.0)
     (load,) = gel_loads(law, [frame], grasp_index=SETTLED_PRESS, k_n_factor=k_n_factor)
     return indenter.patch(surface, frame.pose_gel_object, load)

@@ -72,7 +72,8 @@ def _law_content(law: ContactLaw) -> list[Any]:
         for one in law.effects
     ]
     slopes = [law.k_n_mm3_per_n.value, law.k_s_mm_per_n.value, k_depth and k_depth.value]
-    return [law.law, *slopes, law.marker_pitch_mm, effects]
+    margin = [law.collision_margin_mm] if law.collision_margin_mm else []  # hashes of old stay
+    return [law.law, *slopes, law.marker_pitch_mm, effects, *margin]
 
 
 def _without_sources(figures: Any) -> Any:

@@ -163,7 +163,7 @@ def perturbed_settings(settings: PhysicsSettings, change: Perturbation) -> Physi
 
 
 def recipe_object(entry: ObjectEntry) -> GraspObject:
-    """The object of a recipe's entry, with the entry's own figures."""
+    """The object of a recipe's entry, with the entry's own figures and the weight fixed to it."""
     change = Perturbation(
         friction=entry.friction,
         mass_kg=entry.mass_kg,
@@ -172,7 +172,27 @@ def recipe_object(entry: ObjectEntry) -> GraspObject:
         object_scale=entry.scale,
         **shift_of_center(entry.center_of_mass_offset_mm),
     )
-    return perturbed_object(load_object(entry.object_folder()), change)
+    grasped = perturbed_object(load_object(entry.object_folder()), change)
+    return weighted_object(grasped, entry.added_mass_kg, entry.added_mass_at_mm)
+
+
+def weighted_object(
+    grasped: GraspObject, added_kg: float, at_mm: tuple[float, float, float] | None
+) -> GraspObject:
+    """The object with a small weight fixed to it at a point of its frame, or its centre of mass."""
+    if not added_kg:
+        return grasped
+    total_kg = grasped.mass_kg + added_kg
+    arm_mm = np.zeros(3) if at_mm is None else np.array(at_mm) - grasped.center_of_mass_mm
+    # Both bodies about their common centre (Steiner): m a/(m + a) takes the place of the mass.
+    steiner = arm_mm @ arm_mm * np.eye(3) - np.outer(arm_mm, arm_mm)
+    inertia = grasped.inertia_kg_mm2 + grasped.mass_kg * added_kg / total_kg * steiner
+    return replace(
+        grasped,
+        mass_kg=total_kg,
+        center_of_mass_mm=frozen_array(grasped.center_of_mass_mm + added_kg / total_kg * arm_mm),
+        inertia_kg_mm2=frozen_array(inertia),
+    )
 
 
 def perturbed_entry(entry: ObjectEntry, change: Perturbation) -> ObjectEntry:
@@ -181,7 +201,10 @@ def perturbed_entry(entry: ObjectEntry, change: Perturbation) -> ObjectEntry:
     after = perturbed_object(before, change)
     figures: dict[str, Any] = {}
     if after.mass_kg != before.mass_kg:
-        figures["mass_kg"] = round(after.mass_kg, 6)
+        factor, added_kg = after.mass_kg / before.mass_kg, entry.added_mass_kg
+        figures["mass_kg"] = round(after.mass_kg - added_kg * factor, 6)
+        if added_kg:
+            figures["added_mass_kg"] = round(added_kg * factor, 6)
     if after.friction != before.friction:
         figures["friction"] = round(after.friction, 6)
     if change.object_scale != 1.0:
@@ -190,9 +213,11 @@ def perturbed_entry(entry: ObjectEntry, change: Perturbation) -> ObjectEntry:
         figures["spinning_friction_factor"] = round(after.spinning_friction_factor, 6)
     if entry.spinning_friction_mm is not None and after.spinning_friction_mm is not None:
         figures["spinning_friction_mm"] = round(after.spinning_friction_mm, 6)
-    if any(change.center_of_mass_mm):
-        offsets = zip(entry.center_of_mass_offset_mm, change.center_of_mass_mm, strict=True)
-        figures["center_of_mass_offset_mm"] = tuple(round(old + new, 4) for old, new in offsets)
+    for name in ("center_of_mass_offset_mm", "added_mass_at_mm"):
+        if (before_mm := getattr(entry, name)) is not None:
+            moved = change.object_scale * np.array(before_mm) + np.array(change.center_of_mass_mm)
+            if (now_mm := tuple(np.round(moved, 4).tolist())) != before_mm:
+                figures[name] = now_mm
     return entry.model_copy(update=figures)
 
 

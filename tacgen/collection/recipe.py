@@ -76,13 +76,21 @@ class ObjectEntry(Located):
     """An object to grasp, with the values that differ from its ``object.yaml``."""
 
     path_key: ClassVar[str] = "name"
+    later_keys: ClassVar[tuple[str, ...]] = ("dataset_name", "added_mass_kg", "added_mass_at_mm")
 
     name: str
     """Name of an object (shipped, in ``./objects`` or in ``objects`` beside the recipe)."""
+    dataset_name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")] | None = None
+    """Name that it has in the dataset, its own if not given: one object can then be listed several
+    times, with other figures."""
     friction: NonNegativeFloat | None = None
     """Coulomb friction coefficient against the gel."""
     mass_kg: PositiveFloat | None = None
     """Mass."""
+    added_mass_kg: NonNegativeFloat = 0.0
+    """A weight that is fixed to the object, on top of its mass."""
+    added_mass_at_mm: tuple[FiniteFloat, FiniteFloat, FiniteFloat] | None = None
+    """Where the weight is in the object's frame; at its centre of mass if not given."""
     center_of_mass_offset_mm: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = (0.0, 0.0, 0.0)
     """Shift of the centre of mass in the object's frame."""
     spinning_friction_mm: NonNegativeFloat | None = None
@@ -100,12 +108,12 @@ class ObjectEntry(Located):
 
     @property
     def object_name(self) -> str:
-        """The name of the object, also where ``name`` is the path of its folder."""
-        return Path(self.name).name if "/" in self.name else self.name
+        """The object's name in the dataset, also where ``name`` is the path of its folder."""
+        return self.dataset_name or (Path(self.name).name if "/" in self.name else self.name)
 
     def figures(self) -> dict[str, Any]:
         """What it says of the object itself, as plain data."""
-        return self.model_dump(mode="json", exclude={"name", "grid"})
+        return self.model_dump(mode="json", exclude={"name", "dataset_name", "grid"})
 
 
 ObjectByName = Annotated[
@@ -147,6 +155,8 @@ class Robot(Located):
 class Contact(Located):
     """The contact law: a calibrated ``contact.yaml``, or its coefficients."""
 
+    later_keys: ClassVar[tuple[str, ...]] = ("collision_margin_mm",)
+
     file: str | None = None
     """A ``contact.yaml``, as a path from the recipe's folder; replaces law and coefficients."""
     law: Literal["volume_linear", "linear_depth"] = "volume_linear"
@@ -157,6 +167,10 @@ class Contact(Located):
     """Sum of the motion of markers 2 mm apart per shear force."""
     k_depth_mm_per_n: PositiveFloat = 0.02
     """Indentation per normal force, for ``linear_depth``."""
+    collision_margin_mm: NonNegativeFloat = 0.0
+    """Gap that the physics keeps between object and gel, which ``linear_depth`` as TACTO has it
+    does not take back: below margin / k_depth newtons the image loses the contact. Bullet keeps
+    1 mm around each convex hull: 1 against a box, 2 between meshes."""
     camera: Literal["raster", "pyrender"] = "raster"
     """Renderer of the gap map: tacgen's own, or pyrender (needs OpenGL)."""
 
@@ -194,6 +208,8 @@ def _depth_kept(given: Any) -> Any:
 class DatasetOptions(Section):
     """Content of the shards."""
 
+    later_keys: ClassVar[tuple[str, ...]] = ("markers", "force_field")
+
     shard_size: Annotated[PositiveInt, Field(le=MAX_SHARD_GRASPS)] = 25
     """Grasps per shard."""
     depth: Annotated[
@@ -212,12 +228,10 @@ class DatasetOptions(Section):
 
     @model_serializer(mode="wrap")
     def _as_before(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Where later keys ask for nothing, what was written without them: the same hash."""
-        found: dict[str, Any] = write(self)
+        found = super()._as_before(write)
         if "depth" in found:
             found["depth"] = {"none": False, "grasp": True}.get(self.depth, self.depth)
-        later = ("markers", "force_field")
-        return {name: value for name, value in found.items() if value or name not in later}
+        return found
 
 
 class Randomize(Section):
@@ -457,7 +471,7 @@ def _unknown_names(recipe: Recipe, source: YamlSource) -> Iterable[str]:
 
 def _repeated_objects(recipe: Recipe, source: YamlSource) -> Iterable[str]:
     names = [entry.object_name for entry in recipe.objects]
-    return source.repeated("objects", names, "keep one, or make two recipes")
+    return source.repeated("objects", names, "keep one, or give it another `dataset_name`")
 
 
 def _values_out_of_range(recipe: Recipe, source: YamlSource) -> Iterable[str]:
@@ -476,5 +490,13 @@ def _values_out_of_range(recipe: Recipe, source: YamlSource) -> Iterable[str]:
         for k, force_n in enumerate(grid.force_n or ()):
             if problem := force_problem(force_n, limit_n):
                 yield source.problem((*key_path, "force_n", k), problem)
-    if recipe.contact.file is None and (doubt := k_n_doubt(recipe.contact.k_n_mm3_per_n)):
+    contact = recipe.contact
+    if contact.collision_margin_mm and (contact.file or contact.law != "linear_depth"):
+        fix = "is of `law: linear_depth` alone; remove it"
+        yield source.problem(("contact", "collision_margin_mm"), fix)
+    for i, entry in enumerate(recipe.objects):
+        if entry.added_mass_at_mm is not None and not entry.added_mass_kg:
+            fix = "is the place of no weight; give added_mass_kg, or remove it"
+            yield source.problem(("objects", i, "added_mass_at_mm"), fix)
+    if contact.file is None and (doubt := k_n_doubt(contact.k_n_mm3_per_n)):
         yield source.problem(("contact", "k_n_mm3_per_n"), doubt)

@@ -107,8 +107,10 @@ class ContactLaw:
     """A contact law and where it comes from.
 
     ``volume_linear`` is V = k_n F_n, ``linear_depth`` (TACTO's) indentation = k_depth F_n, which
-    needs ``k_depth_mm_per_n``. k_s is NaN where shear was never measured. D is a sum over a grid of
-    markers, of pitch ``marker_pitch_mm``: each stands for its square, and ∫ u dA is D times that.
+    needs ``k_depth_mm_per_n``; of it the object has to cover ``collision_margin_mm`` before it
+    touches, see :meth:`predict_depth`. k_s is NaN where shear was never measured. D is a sum over
+    a grid of markers, of pitch ``marker_pitch_mm``: each stands for its square, and ∫ u dA is D
+    times that.
     NaN where the pitch is not known: then D is the sum over whatever markers a sensor has.
     ``friction`` is Coulomb's coefficient of gel and object, ``decay_mm`` how far beside a contact
     the gel moves with it (``tacgen.contact.shear_field``); None where they were not measured.
@@ -126,6 +128,7 @@ class ContactLaw:
     provenance: Mapping[str, Any] = field(default_factory=dict)
     friction: Estimate | None = None
     decay_mm: Estimate | None = None
+    collision_margin_mm: float = 0.0
 
     def __post_init__(self) -> None:
         ContactError.raise_if(_law_problems(self))
@@ -187,21 +190,29 @@ class ContactLaw:
         k_n = self.k_n_mm3_per_n.value if depth is None else 1.0
         normal = self._respond(reading, "normal", k_n, simulate=True)
         if depth is not None:
-            normal = normal * depth.value
+            normal = normal * depth.value - self.collision_margin_mm
         shear = self._respond(reading, "shear", self.k_s_mm_per_n.value, simulate=True)
         return max(float(normal[0, 0]), 0.0), shear[0], reading.memory
 
-    def predict_depth(self, columns: Mapping[str, ArrayLike]) -> FloatArray:
+    def predict_depth(self, columns: Mapping[str, ArrayLike], k_factor: float = 1.0) -> FloatArray:
         """Indentation (N,) in mm of a ``linear_depth`` law, for a simulated grasp.
 
+        max(0, c F − g), c being k_depth times ``k_factor``. TACTO moves the object by c F towards
+        the gel from where the physics has it, and there Bullet keeps the collision margin g
+        between them: 1 mm around each convex hull. Below g / c newtons the contact is lost.
+
         Raises ``ContactError`` if the law is not ``linear_depth``.
+
+        Source: ``adjust_with_force`` of TACTO; that of Si et al. 2022 adds the gap that it finds
+        (``get_bias``). Bullet's ``gUrdfDefaultCollisionMargin``.
         """
         if self.law != "linear_depth" or self.k_depth_mm_per_n is None:
             msg = f"law {self.law!r} gives a volume; only linear_depth gives a depth by itself"
             raise ContactError(msg)
         history = LoadHistory(columns, measured=False)
         load = history.unsorted(self._respond(history, "normal", 1.0, simulate=True))[:, 0]
-        return np.maximum(load, 0.0) * self.k_depth_mm_per_n.value
+        depth_mm = load * self.k_depth_mm_per_n.value * k_factor
+        return np.asarray(np.maximum(depth_mm - self.collision_margin_mm, 0.0), np.float64)
 
     def _respond(
         self, history: LoadHistory, channel: Channel, compliance: float, *, simulate: bool
@@ -280,6 +291,9 @@ def _law_problems(law: ContactLaw) -> list[str]:
         depth = law.k_depth_mm_per_n
         if depth is None or not (math.isfinite(depth.value) and depth.value > 0):
             problems.append("linear_depth needs a positive k_depth_mm_per_n (mm of depth per N)")
+    margin_mm = law.collision_margin_mm
+    if margin_mm and not (law.law == "linear_depth" and 0 < margin_mm < math.inf):
+        problems.append(f"collision_margin_mm = {margin_mm:g} needs linear_depth, and 0 or more")
     seen = set()
     for index, fitted in enumerate(law.effects):
         where = f"effects[{index}] ({fitted.name})"
@@ -332,6 +346,8 @@ def save_law(law: ContactLaw, path: Path) -> None:
             if key == "k_n_mm3_per_n" and k_n_doubt(estimate.value):
                 content[key]["unit"] = "mm3/N"  # as measured: it is read without a question
     content["marker_pitch_mm"] = float(law.marker_pitch_mm)
+    if law.collision_margin_mm:
+        content["collision_margin_mm"] = float(law.collision_margin_mm)
     content["effects"] = [
         {
             "name": fitted.name,
@@ -398,6 +414,7 @@ def _law_of(path: Path, source: YamlSource) -> ContactLaw:
         return ContactLaw(
             law=file.law,
             marker_pitch_mm=file.marker_pitch_mm,
+            collision_margin_mm=file.collision_margin_mm,
             effects=file.effects,
             provenance=file.provenance,
             **estimates,
@@ -415,6 +432,7 @@ class LawFile(Section):
     k_s_mm_per_n: Given | None = None
     k_depth_mm_per_n: Given | None = None
     marker_pitch_mm: float = math.nan
+    collision_margin_mm: float = 0.0
     friction: Given | None = None
     decay_mm: Given | None = None
     effects: tuple[FittedEffect, ...] = ()

@@ -76,13 +76,11 @@ def gel_loads(
         history = load_history(part, grasp_index)
         volume_mm3, motion_mm = law.predict(history, simulate=True)
         is_depth = law.law == "linear_depth"
-        response = law.predict_depth(history) if is_depth else volume_mm3
+        response = law.predict_depth(history, k_n_factor) if is_depth else k_n_factor * volume_mm3
         normal += response[-len(part) :].tolist()
         shear_mm += list(motion_mm[-len(part) :])
     rows = zip(frames, normal, shear_mm, strict=True)
-    return tuple(
-        gel_load(law, frame, one * k_n_factor, shear, friction) for frame, one, shear in rows
-    )
+    return tuple(gel_load(law, frame, one, shear, friction) for frame, one, shear in rows)
 
 
 class GelCourse:

@@ -230,6 +230,8 @@ def test_a_law_of_depth_and_one_with_memory(pair):
     assert batch(contact=LINEAR_DEPTH).render(gaps, [1.0, 4.0]).indentation_mm == pytest.approx(
         [0.1, 0.4], abs=1e-6
     )
+    kept = batch(contact=replace(LINEAR_DEPTH, collision_margin_mm=0.15))
+    assert kept.render(gaps, [1.0, 4.0]).indentation_mm == pytest.approx([0.0, 0.25], abs=1e-6)
     sensor = batch(contact=CREEP)
     area_mm2 = sensor.description.pixel_area_mm2
     times_s, force_n = [0.0, 0.5, 1.5], [1.0, 2.0]

@@ -10,6 +10,7 @@ import yaml
 from tacgen.collection.perturbed import (
     Outcome,
     Perturbation,
+    perturbed_entry,
     perturbed_object,
     place_of,
     recipe_object,
@@ -57,6 +58,73 @@ def simulated(tmp_path_factory):
         for what, change in perturbations.items()
     }
     return out, wanted, by_name
+
+
+WEIGHTED = ObjectEntry(
+    name=BOX,
+    scale=1.1,
+    mass_kg=0.4,
+    center_of_mass_offset_mm=(1.0, 2.0, 0.0),
+    added_mass_kg=0.3,
+    added_mass_at_mm=(20.0, -5.0, 40.0),
+)
+
+
+def about_the_origin(mass_kg, center_mm, inertia=0.0):
+    """Moments of inertia about the origin of the frame, in which those of two bodies add."""
+    return inertia + mass_kg * (center_mm @ center_mm * np.eye(3) - np.outer(center_mm, center_mm))
+
+
+def test_a_fixed_weight_adds_its_mass_its_moment_and_its_inertia():
+    alone = recipe_object(WEIGHTED.model_copy(update={"added_mass_kg": 0.0}))
+    both = recipe_object(WEIGHTED)
+    at_mm = np.array(WEIGHTED.added_mass_at_mm)
+    assert both.mass_kg == pytest.approx(0.7)
+    moment = 0.4 * alone.center_of_mass_mm + 0.3 * at_mm
+    np.testing.assert_allclose(both.mass_kg * both.center_of_mass_mm, moment)
+    np.testing.assert_allclose(
+        about_the_origin(0.7, both.center_of_mass_mm, both.inertia_kg_mm2),
+        about_the_origin(0.4, alone.center_of_mass_mm, alone.inertia_kg_mm2)
+        + about_the_origin(0.3, at_mm),
+    )
+
+
+def test_a_weight_without_a_place_is_at_the_centre_of_mass():
+    alone, both = (
+        recipe_object(ObjectEntry(name=BOX, added_mass_kg=added_kg)) for added_kg in (0.0, 0.5)
+    )
+    assert both.mass_kg == pytest.approx(alone.mass_kg + 0.5)
+    np.testing.assert_array_equal(both.center_of_mass_mm, alone.center_of_mass_mm)
+    np.testing.assert_array_equal(both.inertia_kg_mm2, alone.inertia_kg_mm2)
+
+
+@pytest.mark.parametrize("entry", [WEIGHTED, ObjectEntry(name=BOX, added_mass_kg=0.2)])
+def test_a_perturbed_entry_is_of_the_perturbed_object(entry):
+    change = Perturbation(mass_factor=0.6, object_scale=0.9, center_of_mass_x_mm=4.0)
+    expected = perturbed_object(recipe_object(entry), change)
+    found = recipe_object(perturbed_entry(entry, change))
+    assert found.mass_kg == pytest.approx(expected.mass_kg)
+    np.testing.assert_allclose(found.center_of_mass_mm, expected.center_of_mass_mm, rtol=1e-3)
+    np.testing.assert_allclose(found.inertia_kg_mm2, expected.inertia_kg_mm2, atol=0.2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("added_kg", [0.1, 0.5])
+def test_an_object_held_in_its_middle_needs_half_its_load_over_mu(tmp_path, added_kg):
+    """2 μ F ≥ m (g + a), the added mass with it, from below and from above."""
+    entry = ObjectEntry(name=BOX, dataset_name="heavy", added_mass_kg=added_kg)
+    recipe = RECIPE.model_copy(update={"objects": (entry,)})
+    box = recipe_object(ObjectEntry(name=BOX))
+    lift_m_s2 = recipe.physics.lift_acceleration_mm_s2 / 1000
+    load_n = (box.mass_kg + added_kg) * (STANDARD_GRAVITY_M_S2 + lift_m_s2)
+    least_n = load_n / (2 * box.friction)
+    places = [
+        GraspConfig(0, "heavy", share * least_n, 0.0, 0.0, HEIGHT_MM) for share in (0.97, 1.03)
+    ]
+    found = simulate_perturbed(
+        recipe, [(place, Perturbation()) for place in places], tmp_path, workers=1
+    )
+    assert [found[place_of(place), Perturbation()].label for place in places] == [0, 1]
 
 
 @pytest.mark.slow

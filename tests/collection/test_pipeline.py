@@ -10,7 +10,7 @@ from tacgen.collection.gel import contact_law
 from tacgen.collection.grid import plan_recipe
 from tacgen.collection.perturbed import recipe_object
 from tacgen.collection.pipeline import GraspPipeline, dataset_spec, tactile_pad
-from tacgen.collection.recipe import Contact, ObjectEntry, Recipe, load_recipe
+from tacgen.collection.recipe import Contact, Grid, ObjectEntry, Recipe, load_recipe
 from tacgen.core.errors import RecipeError, TableError
 from tacgen.core.resources import packaged
 from tacgen.sensor.gel_response import gel_loads
@@ -47,6 +47,32 @@ def test_a_recipe_overrides_what_the_object_says():
     assert changed.spinning_friction_mm is None
     declared = recipe_object(ObjectEntry(name="sugar_box", spinning_friction_mm=1.5))
     assert declared.spinning_friction_mm == 1.5
+
+
+@pytest.mark.slow
+def test_a_collision_margin_takes_the_contact_from_the_image_alone():
+    """TACTO's: the image of a firm grasp is as without the gap, less 0.2 mm; of a weak one none."""
+    found = {}
+    for margin_mm in (0.0, 0.2):
+        contact = Contact(law="linear_depth", k_depth_mm_per_n=0.05, collision_margin_mm=margin_mm)
+        recipe = Recipe(
+            name="margin",
+            objects=(ObjectEntry(name="rubiks_cube"),),
+            grid=Grid(force_n=(3.0, 12.0), y_mm=(9.0,), z_mm=(28.5,)),
+            contact=contact,
+        )
+        with GraspPipeline(recipe) as pipeline:
+            found[margin_mm] = [pipeline.sample(planned) for planned in plan_recipe(recipe)]
+    for plain, lost, is_lost in zip(found[0.0], found[0.2], (True, False), strict=True):
+        assert (lost.label, lost.rise_mm, lost.turn_rad) == (
+            *(plain.label, plain.rise_mm, plain.turn_rad),
+        )
+        (before,), (after,) = plain.pads.values(), lost.pads.values()
+        np.testing.assert_array_equal(after.force_normal_n, before.force_normal_n)
+        closed_form = np.maximum(before.indentation_mm - 0.2, 0.0)
+        np.testing.assert_allclose(after.indentation_mm, closed_form, atol=2e-5)
+        assert (after.no_contact == is_lost).all()
+        assert not before.no_contact.any()
 
 
 @pytest.mark.slow

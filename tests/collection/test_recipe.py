@@ -383,6 +383,37 @@ def test_a_part_of_a_key_hints_the_key(tmp_path, text, words):
         load_recipe(tmp_path / "r.yaml")
 
 
+def test_keys_that_came_later_change_no_hash_of_before(folder):
+    plain = recipe_of(folder, "objects: [can]\n")
+    (entry,) = plain.resolved()["objects"]
+    assert set(entry) == {
+        *("name", "friction", "mass_kg", "center_of_mass_offset_mm", "spinning_friction_mm"),
+        *("spinning_friction_factor", "scale", "grid"),
+    }
+    assert "collision_margin_mm" not in plain.resolved()["contact"]
+    for changed in (
+        "objects: [{name: can, added_mass_kg: 0.2}]\n",
+        "objects: [{name: can, dataset_name: heavy}]\n",
+        "objects: [can]\ncontact: {law: linear_depth, collision_margin_mm: 1}\n",
+    ):
+        recipe = recipe_of(folder, changed)
+        assert Recipe.model_validate(recipe.resolved()) == recipe
+        assert recipe.sha256() != plain.sha256()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("objects: [can]\ncontact: {collision_margin_mm: 1}\n", "`law: linear_depth` alone"),
+        ("objects: [{name: can, added_mass_at_mm: [0, 0, 9]}]\n", "the place of no weight"),
+        ("objects: [can, {name: can, added_mass_kg: 1}]\n", "another `dataset_name`"),
+    ],
+)
+def test_keys_that_need_others_say_which(folder, text, words):
+    with pytest.raises(RecipeError, match=words):
+        recipe_of(folder, text)
+
+
 def test_a_dataset_section_is_written_with_what_was_set_alone():
     for asked in ({"shard_size": 3}, {"depth": "all"}, {"markers": True}):
         section = DatasetOptions.model_validate(asked)

@@ -1,9 +1,11 @@
 """The contact law: closed forms, the file, and what it says about wrong input."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 import yaml
 
 from tacgen.contact.law import ContactLaw, FittedEffect, load_law, save_law
@@ -98,6 +100,70 @@ def test_depth_of_the_linear_depth_law():
     np.testing.assert_allclose(law.predict_depth(COLUMNS), 0.05 * COLUMNS["force_normal_n"])
     with pytest.raises(ContactError, match="only linear_depth gives a depth"):
         ContactLaw.linear(5.0).predict_depth(COLUMNS)
+
+
+def tactos(margin_mm):
+    k_depth = Estimate(0.05, 0.0, "mm/N")
+    return ContactLaw(
+        "linear_depth", Estimate(5.0), k_depth_mm_per_n=k_depth, collision_margin_mm=margin_mm
+    )
+
+
+def test_the_collision_margin_loses_the_contact_below_a_force(tmp_path):
+    save_law(tactos(0.1), tmp_path / "contact.yaml")
+    law = load_law(tmp_path / "contact.yaml")
+    # max(0, c F − g): nothing up to g / c = 2 N, then c a newton.
+    closed_form = [0.0, 0.0, 0.0, 0.05, 0.1]
+    np.testing.assert_allclose(law.predict_depth(COLUMNS), closed_form, atol=1e-12)
+    np.testing.assert_allclose(law.predict_depth(COLUMNS, 2.0), [0, 0, 0.1, 0.2, 0.3], atol=1e-12)
+    memory = {}
+    for k, depth_mm in enumerate(closed_form):
+        row = {name: float(column[k]) for name, column in COLUMNS.items()}
+        normal, _, memory = law.advance(row, memory)
+        assert normal == pytest.approx(depth_mm, abs=1e-12)
+    assert tactos(0.0).predict_depth(COLUMNS)[1] == 0.05
+
+
+@pytest.mark.parametrize("margin_mm", [-0.1, math.inf, math.nan])
+def test_a_margin_that_cannot_be_is_refused(margin_mm):
+    with pytest.raises(ContactError, match="collision_margin_mm"):
+        tactos(margin_mm)
+
+
+def test_a_volume_has_no_collision_margin():
+    with pytest.raises(ContactError, match="collision_margin_mm = 0.1 needs linear_depth"):
+        replace(ContactLaw.linear(5.0), collision_margin_mm=0.1)
+
+
+@pytest.mark.parametrize(("low", "up", "gap_mm"), [("m", "m", 2.0), ("m", "b", 1.0), ("b", "b", 0)])
+def test_bullet_keeps_a_millimetre_around_each_mesh_of_a_urdf(tmp_path, low, up, gap_mm):
+    """The margin that TACTO, which poses the meshes as the physics has them, does not take back."""
+    pybullet = pytest.importorskip("pybullet")
+    box = trimesh.creation.box((0.04, 0.04, 0.04))
+    box.export(tmp_path / "cube.obj")
+    shapes = {"m": '<mesh filename="cube.obj"/>', "b": '<box size="0.04 0.04 0.04"/>'}
+    client = pybullet.connect(pybullet.DIRECT)
+    try:
+        pybullet.setGravity(0, 0, -9.81, physicsClientId=client)
+        bodies = []
+        for shape, height_m, mass_kg in ((low, 0.0, 0.0), (up, 0.045, 0.1)):
+            inertial = f"""<mass value="{mass_kg}"/><inertia ixx="1e-4" iyy="1e-4" izz="1e-4"
+                ixy="0" ixz="0" iyz="0"/>"""
+            path = tmp_path / f"{mass_kg}.urdf"
+            path.write_text(
+                f"""<robot name="r"><link name="l"><inertial>{inertial}</inertial><collision>
+                <geometry>{shapes[shape]}</geometry></collision></link></robot>"""
+            )
+            at = {"basePosition": [0, 0, height_m], "physicsClientId": client}
+            bodies.append(pybullet.loadURDF(str(path), useFixedBase=not mass_kg, **at))
+        for _ in range(1000):
+            pybullet.stepSimulation(physicsClientId=client)
+        (*_, height_m), _ = pybullet.getBasePositionAndOrientation(
+            bodies[1], physicsClientId=client
+        )
+    finally:
+        pybullet.disconnect(client)
+    assert 1000 * (height_m - 0.04) == pytest.approx(gap_mm, abs=0.05)
 
 
 def test_every_problem_of_a_law_is_listed_at_once():

@@ -50,6 +50,9 @@ def test_tactos_law_gives_a_depth_and_no_volume():
     loads = gel_loads(law, frames([2, 4], [0, 1]))
     assert [load.volume_mm3 for load in loads] == [None, None]
     assert [load.indentation_mm for load in loads] == pytest.approx([0.04, 0.08])
+    kept = replace(law, collision_margin_mm=0.07)
+    loads = gel_loads(kept, frames([2, 4], [0, 1]), k_n_factor=1.5)
+    assert [load.indentation_mm for load in loads] == pytest.approx([0.0, 0.02 * 4 * 1.5 - 0.07])
 
 
 def test_a_law_without_shear_moves_no_marker():
