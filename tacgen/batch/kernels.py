@@ -74,6 +74,7 @@ class Worlds:
     wrong: Ints
     asked: Doubles  # volume in pixels × grains, or δ in grains, (N,)
     rgb: wp.array4d(dtype=wp.uint8)
+    grey: Map4  # instead of rgb where it is not empty: grey levels before they are rounded
     depth_mm: Map3
     contact_mask: wp.array3d(dtype=wp.bool)
     indentation_mm: Floats
@@ -1077,7 +1078,7 @@ def spread(p: Worlds, most_points: int, decay: wp.float64, gain: wp.float64):
     const float* rest = &wp::index(p.image_at_rest, r, 0, 0);
     const float* rest_lit = &wp::index(p.lit_at_rest, r, 0, 0);
     const float* lit = &wp::index(p.image, w, r, 0, 0);
-    const bool is_row = r >= window[0] && r < window[1];
+    const bool is_row = r >= window[0] && r < window[1], is_rounded = p.grey.shape[0] == 0;
     const float sigma = p.noise_grey, radius = p.marker_radius_px;
     float dots[2 * 128];  // places x, y of those that this row meets, in pixels
     int n_dots = 0;
@@ -1093,7 +1094,7 @@ def spread(p: Worlds, most_points: int, decay: wp.float64, gain: wp.float64):
         bool is_dotted = false;
         for (int m = 0; m < n_dots; m++)
             is_dotted |= dots[2 * m] > c0 - radius - 1.0f && dots[2 * m] < c0 + n + radius;
-        if (is_still && sigma <= 0.0f && !is_dotted) {
+        if (is_still && sigma <= 0.0f && !is_dotted && is_rounded) {
             for (int i = 3 * c0; i < 3 * (c0 + n); i++) out[i] = still[i];
             continue;
         }
@@ -1126,6 +1127,8 @@ def spread(p: Worlds, most_points: int, decay: wp.float64, gain: wp.float64):
                 const float shown = 1.0f - cover * (1.0f - ink_transmission);
                 for (int j = 0; j < 3; j++) grey[3 * i + j] *= shown;
             }
+        for (int i = 0; i < 3 * n && !is_rounded; i++)
+            wp::index(p.grey, world, r, c0 + i / 3, i % 3) = grey[i];
         const wp::uint32 first = 3u * ((wp::uint32)(world * height + r) * width + c0);
         for (int i = 0; i < 3 * n && sigma > 0.0f; i++) {  // 12 random bits: a hash of the place
             wp::uint32 x = seed + 0x9E3779B9u * (first + i);
@@ -1133,7 +1136,7 @@ def spread(p: Worlds, most_points: int, decay: wp.float64, gain: wp.float64):
             x = (x ^ (x >> 15)) * 0x846CA68Bu;
             grey[i] += sigma * wp::index(p.quantiles, (int)((x ^ (x >> 16)) >> 20));
         }
-        for (int i = 0; i < 3 * n; i++) {
+        for (int i = 0; i < 3 * n && is_rounded; i++) {
             const float level = grey[i] + 0.5f;
             out[3 * c0 + i] = (wp::uint8)(int)wp::clamp(level, 0.0f, 255.0f);
         }

@@ -1,7 +1,7 @@
 """The memory of a batch, and the order in which its kernels run."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from tacgen.contact.gel import gel_map_mm
 from tacgen.contact.raster import CellMesh, cut_mesh
 from tacgen.contact.shear import DILATION_DECAY_PER_MM2, DILATION_GAIN, marker_grid_mm
 from tacgen.core.arrays import FloatArray
-from tacgen.core.errors import ContactError, SensorError, TableError
+from tacgen.core.errors import ContactError, SensorError
 from tacgen.core.noise import CameraNoise
 from tacgen.core.records import Markers, Mesh
 from tacgen.core.records import Sensor as Description
@@ -58,6 +58,23 @@ WRONG = (
 """What each place of ``wrong`` in the kernels means."""
 
 
+def undrawable(sensor: Description, table: LookupTable, *, markers: bool) -> str:
+    """Why pictures of a sensor cannot be drawn in batches; empty if they can."""
+    others, model = [name for name in table.effects if name != SHADOW.name], table.image_model
+    n_columns = sensor.markers.columns if markers and sensor.markers else 0
+    if others:
+        problem = f"no optical effect but shadows is drawn, and the table has {', '.join(others)}"
+    elif not isinstance(model, Quadratic | Response):
+        problem = f"the image model {model.kind!r} of the table is not drawn yet"
+    elif n_columns > MOST_COLUMNS:
+        problem = f"up to {MOST_COLUMNS} columns of markers are drawn, the sensor has {n_columns}"
+    elif len(Gaussian(max(PYRAMID_SIGMA_MM) / sensor.mm_per_px).kernel) > LONGEST_KERNEL:
+        problem = f"pixels of {sensor.mm_per_px:g} mm are too small"
+    else:
+        return ""
+    return f"in a batch {problem}"
+
+
 class BatchRenderer:
     """Draws worlds of one sensor on one device, a part of the batch at a time."""
 
@@ -70,8 +87,12 @@ class BatchRenderer:
         *,
         shadows: bool,
         markers: bool,
-        noise_grey: float,
+        noise_grey: float = 0.0,
+        keeps_grey: bool = False,
     ) -> None:
+        if problem := undrawable(sensor, table, markers=markers):
+            msg = f"{problem}; use tacgen.Sensor"
+            raise SensorError(msg)
         self.n, self.device, self._sensor = n, device, sensor
         self.height, self.width = sensor.shape_px
         is_cuda = device.is_cuda
@@ -80,6 +101,8 @@ class BatchRenderer:
         self._meshes: Any = None
         self._part = self._fitting_part(CUDA_PART if is_cuda else CPU_PART, shadows=shadows)
         self.worlds = self._allocate()
+        if keeps_grey:
+            self.worlds.grey = self._zeros((n, self.height, self.width, 3), wp.float32)
         self._prepare_optics(table, noise_grey, shadows=shadows)
         self._prepare_pyramid(sensor.mm_per_px)
         if markers and sensor.markers is not None:
@@ -129,13 +152,7 @@ class BatchRenderer:
         sensor, shape, p = self._sensor, self._sensor.shape_px, self.worlds
         shader = Shader(table, shadows=shadows, leds=sensor.leds)
         effects = dict(with_cast_shadows(table.effects) if shadows else table.effects)
-        shadow = effects.pop(SHADOW.name, None)
-        if effects:
-            msg = (
-                f"a batch draws no optical effect but shadows, and the table has "
-                f"{', '.join(effects)}; use tacgen.Sensor, or a table without"
-            )
-            raise TableError(msg)
+        shadow = effects.get(SHADOW.name)
         rest_mm = np.ascontiguousarray(gel_map_mm(sensor), np.float32)
         whole = (0, shape[0], 0, shape[1])
         lit, rgb = np.empty((*shape, 3), np.float32), np.empty((*shape, 3), np.uint8)
@@ -157,7 +174,7 @@ class BatchRenderer:
             nodes = shade.packed_nodes(model.coefficients)
             ready.n_slope, ready.n_direction = nodes.shape[0], nodes.shape[1] - 1
             ready.interpolates = model.interpolation == "linear" and nodes.shape[0] > 1
-        elif isinstance(model, Response):
+        elif isinstance(model, Response):  # else it is refused
             nodes = shade.packed_response(model.response)
             ready.node_rows, ready.node_columns, ready.n_slope = nodes.shape[:3]
             ready.n_direction, ready.is_response, ready.interpolates = (
@@ -171,9 +188,6 @@ class BatchRenderer:
                 contact = shade.packed_contact(model.contact.change)
                 rest_mm = model.contact.rest_mm(shape, table.mm_per_px)
                 ready.contact_depth_mm = model.contact.depth_mm
-        else:
-            msg = f"a batch cannot draw the image model {model.kind!r} yet; use tacgen.Sensor"
-            raise TableError(msg)
         ready.nodes = self._put(nodes.reshape(-1), wp.float32)
         ready.per_slope = (ready.n_slope - 1) / table.max_slope_rad
         ready.per_direction = ready.n_direction / (2 * math.pi)
@@ -215,12 +229,6 @@ class BatchRenderer:
         return ready
 
     def _prepare_markers(self, markers: Markers) -> None:
-        if markers.columns > MOST_COLUMNS:
-            msg = (
-                f"a batch draws up to {MOST_COLUMNS} columns of markers, the sensor has "
-                f"{markers.columns}; use tacgen.Sensor, or leave them out"
-            )
-            raise SensorError(msg)
         p, places_mm = self.worlds, marker_grid_mm(self._sensor)
         p.n_markers, p.marker_radius_px = len(places_mm), markers.radius_mm / self._sensor.mm_per_px
         p.markers_at_rest_mm = self._put(places_mm, wp.float32)
@@ -234,15 +242,16 @@ class BatchRenderer:
         elif self.worlds.n_markers:
             self.worlds.sheared_mm.assign(motion_mm)
 
+    def place_markers(self, places_mm: Sequence[FloatArray | None]) -> None:
+        """Where those of the first worlds are, (M, 2), for ``draw`` without ``moves_markers``."""
+        self.worlds.markers_mm[: len(places_mm)].assign(np.asarray(places_mm, np.float32))
+
     def _prepare_pyramid(self, mm_per_px: float) -> None:
         """The kernel, halvings, alignment and reach of every Gaussian, and its memory."""
         reach, self._margin = 1, Deformer(mm_per_px).reach_px + 1
         self._stages = []
         for sigma_mm in (*PYRAMID_SIGMA_MM, FINAL_SIGMA_MM):
             blur = Gaussian(sigma_mm / mm_per_px)
-            if len(blur.kernel) > LONGEST_KERNEL:
-                msg = f"pixels of {mm_per_px:g} mm are too small for a batch; use tacgen.Sensor"
-                raise SensorError(msg)
             reach += blur.reach_px
             margin, halvings = min(reach, self._margin), blur.factor.bit_length() - 1
             self._stages.append((self._put(blur.kernel, wp.float32), halvings, blur.factor, margin))
@@ -269,10 +278,11 @@ class BatchRenderer:
         """A kernel of one block of threads for each of the worlds at work."""
         self._launch(kernel, self._count, self._block, inputs=inputs)
 
-    def parts(self) -> Iterator[int]:
-        """The first world of each part of the batch, which is then at work."""
-        for start in range(0, self.n, self._part):
-            self._count = min(self._part, self.n - start)
+    def parts(self, n: int | None = None) -> Iterator[int]:
+        """The first world of each part of the batch, which is then at work; of the first ``n``."""
+        n = self.n if n is None else n
+        for start in range(0, n, self._part):
+            self._count = min(self._part, n - start)
             self.worlds.start = start
             yield start
 
@@ -394,8 +404,8 @@ class BatchRenderer:
         self._rows(k.begin, self.worlds)
         self._each(k.clear, self.worlds)
 
-    def draw(self, seed: int) -> None:
-        """The pictures of what is indented."""
+    def draw(self, seed: int = 0, *, moves_markers: bool = True) -> None:
+        """The pictures of what is indented; markers are else where they were put."""
         p, lights = self.worlds, self._lights
         self._deform()
         self._rows(k.shade, p, self._table)
@@ -403,7 +413,7 @@ class BatchRenderer:
             self._rows(k.turn, p, lights)
             dim = self._count, lights.n, self._block
             self._launch(k.sweep, *dim, inputs=[p, lights, self._block])
-        if p.n_markers:
+        if p.n_markers and moves_markers:
             inputs = p, FIELD_POINTS, DILATION_DECAY_PER_MM2, DILATION_GAIN
             self._launch(k.spread, self._count, p.n_markers, inputs=inputs)
         self._rows(k.expose, p, lights, INK_TRANSMISSION, seed)
