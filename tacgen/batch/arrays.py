@@ -91,6 +91,13 @@ def upload(values: np.ndarray[Any, Any], device: wp.Device) -> wp.array:
     return wp.array(values, device=device)
 
 
+def on_host(array: Any) -> np.ndarray[Any, Any]:
+    """Numbers of any library, of any device, for NumPy."""
+    if isinstance(array, wp.array):
+        return np.asarray(array.numpy())
+    return np.asarray(array.cpu() if kind_of(array) == "torch" else array)
+
+
 def as_kind(array: wp.array, kind: str) -> Any:
     """The memory of a Warp array as an array of that library."""
     if kind == "torch":

@@ -52,7 +52,7 @@ _PRELUDE = """
 """
 
 
-def _native(body: str) -> Any:
+def native(body: str) -> Any:
     """A function of C++ for a thread ``lane`` of ``lanes``."""
     return wp.func_native(_PRELUDE + body)
 
@@ -206,7 +206,7 @@ class Grid:
     lanes: int
 
 
-@_native("""
+@native("""
     // The triangles of a cell of a mesh: lowers gaps to the nearest surface.
     const int n_rows = g.gap_mm.shape[1], n_columns = g.gap_mm.shape[2], lanes = g.lanes;
     const double* t = &wp::index(m.poses, world, 0, 0);
@@ -313,7 +313,7 @@ def gather_beside(g: Grid, outside: wp.array2d(dtype=wp.bool), per_mm: wp.float6
 # From gaps to the indentation --------------------------------------------------------------------
 
 
-@_native("""
+@native("""
     double least = INFINITY;
     int n_nan = 0;
     for (int r = 0; r < map.shape[1]; r += every) {
@@ -341,7 +341,7 @@ def first_touch(gap_mm: wp.array3d(dtype=Any), start: int, every: int, lanes: in
     _first_touch(gap_mm, p, every, start + w, w, lane, lanes)
 
 
-@_native("""
+@native("""
     const int lanes = p.lanes;
     auto* row = &wp::index(map, world, r, 0);
     int* out = &wp::index(p.grains, w, r, 0);
@@ -366,7 +366,7 @@ def to_grains(gap_mm: wp.array3d(dtype=Any), start: int, clears: bool, p: Worlds
     _to_grains(gap_mm, p, clears, start + w, w, r, lane)
 
 
-@_native("""
+@native("""
     // V(delta) = volume by Newton from the right: no step can miss, and the last is exact.
     const int n_beside = beside.shape[1];
     const int* around = n_beside ? &wp::index(beside, w, 0) : nullptr;
@@ -481,7 +481,7 @@ _INDENT = """
 """
 
 
-@_native(
+@native(
     _INDENT
     % """
     const int* row = &wp::index(p.grains, w, r, 0);
@@ -501,7 +501,7 @@ def indent(p: Worlds):
     _indent(p, w, r, lane)
 
 
-@_native(
+@native(
     _INDENT
     % """
     const float* row = &wp::index(given, p.start + w, r, 0);
@@ -535,7 +535,7 @@ def results_of_depth(p: Worlds, gel_depth_mm: wp.float32, least_mm: wp.float32):
 # How the gel bends around it ---------------------------------------------------------------------
 
 
-@_native("""
+@native("""
     const int lanes = p.lanes;
     TACGEN_ALONG(window[2], window[3])
         wp::index(p.height_mm, w, r, c) = wp::index(p.rest_mm, r, c);
@@ -565,7 +565,7 @@ def clear(p: Worlds):
     p.relief_mm[w] = 0.0
 
 
-@_native("""
+@native("""
     const int lanes = p.lanes;
     float* out = &wp::index(p.surface, w, r, 0);
     const float* depth = &wp::index(p.depth_mm, p.start + w, r, 0);
@@ -585,7 +585,7 @@ def place(p: Worlds, margin: int):
         _place(p, p.patches[w], frame, w, r, lane)
 
 
-@_native("""
+@native("""
     // Means of blocks of 2×2 pixels; beyond the window its edges go on.
     const int last = window[1] - window[0] - 1, end = window[3] - window[2] - 1;
     const int above = wp::clamp(2 * r - 4, 0, last), below = wp::clamp(2 * r - 3, 0, last);
@@ -604,7 +604,7 @@ def place(p: Worlds, margin: int):
 def _halve(source: Map3, window: wp.vec4i, target: Map3, w: int, r: int, lane: int, lanes: int): ...
 
 
-@_native("""
+@native("""
     // One row blurred along itself; beyond the window its edges go on.
     const int radius = kernel.shape[0] - 1, beyond = TILE == 1 ? 0 : radius;
     const float* k = &wp::index(kernel, 0);
@@ -639,7 +639,7 @@ def _blur_along(
 ): ...  # fmt: skip
 
 
-@_native("""
+@native("""
     // One row of the sum along columns; beyond the window its edges go on.
     const int radius = kernel.shape[0] - 1;
     const float* k = &wp::index(kernel, 0);
@@ -662,7 +662,7 @@ def _blur_down(
 ): ...  # fmt: skip
 
 
-@_native("""
+@native("""
     // One row between the middles of the blocks that halving made, three quarters from the near.
     const int at = r - window[0], near = at / 2 + 2, far = at % 2 ? near + 1 : near - 1;
     const float* close = &wp::index(source, w, near, 0);
@@ -705,7 +705,7 @@ def resample(
             _double(source, window, target, w, r, lane, lanes)
 
 
-@_native("""
+@native("""
     const int lanes = p.lanes;
     const float* depth = &wp::index(p.depth_mm, p.start + w, r, 0);
     float* out = &wp::index(p.surface, w, r, 0);
@@ -730,7 +730,7 @@ def keep_contact(p: Worlds, loose: wp.float32, firm: wp.float32):
         _keep_contact(p, window, loose * deep_mm, 1.0 / ((firm - loose) * deep_mm), w, r, lane)
 
 
-@_native("""
+@native("""
     const int lanes = p.lanes;
     const float* deformation = &wp::index(p.surface, w, r, 0);
     const float* rest = &wp::index(p.rest_mm, r, 0);
@@ -852,7 +852,7 @@ _SLOPES = """
 """
 
 
-@_native(
+@native(
     _SLOPES
     + """
     // A quadratic in position between nodes of slope and direction, on the background.
@@ -879,7 +879,7 @@ _SLOPES = """
 def _shade_quadratic(p: Worlds, t: Table, span: wp.vec2i, w: int, r: int, lane: int): ...
 
 
-@_native(
+@native(
     _SLOPES
     + """
     // Light of any course in position, between nodes of row, column, slope and direction.
@@ -974,7 +974,7 @@ def seen(p: Worlds, lights: Lights, w: int) -> wp.vec4i:
     return grown(p.changed[w], margin, 1, p.height_mm.shape[1], p.height_mm.shape[2])
 
 
-@_native("""
+@native("""
     const int lanes = p.lanes;
     const float* row = &wp::index(p.height_mm, w, r, 0);
     TACGEN_ALONG(window[2], window[3]) wp::index(turned_mm, w, c, r) = row[c];
@@ -991,7 +991,7 @@ def turn(p: Worlds, lights: Lights):
         _turn(p, window, lights.turned_mm, w, r, lane)
 
 
-@_native("""
+@native("""
     // The lowest relief met on the way from the light, lifted by the ray's rise, goes along from
     // row to row: what is above it is hidden.
     const float across_px = wp::index(lights.across_px, led), per_mm = lights.per_mm;
@@ -1035,7 +1035,7 @@ def sweep(p: Worlds, lights: Lights, lanes: int):
             _sweep(p.height_mm, lights, s[0], s[1], s[2], s[3], w, led, lane, lanes)
 
 
-@_native("""
+@native("""
     // Motion away from the indentation, of which a marker sees some points spread evenly over it.
     const auto& patch = wp::index(p.patches, w);
     const int height = wp::max(patch[1] - patch[0], 0), width = wp::max(patch[3] - patch[2], 0);
@@ -1069,7 +1069,7 @@ def spread(p: Worlds, most_points: int, decay: wp.float64, gain: wp.float64):
     _spread(p, most_points, decay, gain, w, m)
 
 
-@_native("""
+@native("""
     // At rest outside the columns seen, else lit, hidden, noisy and rounded.
     const int lanes = p.lanes, height = p.rgb_at_rest.shape[0], width = p.rgb_at_rest.shape[1];
     const int world = p.start + w;

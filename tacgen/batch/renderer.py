@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from tacgen.batch import kernels as k
+from tacgen.batch import shear_kernels
 from tacgen.batch.arrays import free_bytes
 from tacgen.contact.gap import (
     FIRST_ROWS,
@@ -21,7 +22,7 @@ from tacgen.contact.gel import gel_map_mm
 from tacgen.contact.raster import CellMesh, cut_mesh
 from tacgen.contact.shear import DILATION_DECAY_PER_MM2, DILATION_GAIN, marker_grid_mm
 from tacgen.core.arrays import FloatArray
-from tacgen.core.errors import ContactError, SensorError
+from tacgen.core.errors import ContactError, SensorError, TableError
 from tacgen.core.noise import CameraNoise
 from tacgen.core.records import Markers, Mesh
 from tacgen.core.records import Sensor as Description
@@ -63,16 +64,14 @@ def undrawable(sensor: Description, table: LookupTable, *, markers: bool) -> str
     others, model = [name for name in table.effects if name != SHADOW.name], table.image_model
     n_columns = sensor.markers.columns if markers and sensor.markers else 0
     if others:
-        problem = f"no optical effect but shadows is drawn, and the table has {', '.join(others)}"
-    elif not isinstance(model, Quadratic | Response):
-        problem = f"the image model {model.kind!r} of the table is not drawn yet"
-    elif n_columns > MOST_COLUMNS:
-        problem = f"up to {MOST_COLUMNS} columns of markers are drawn, the sensor has {n_columns}"
-    elif len(Gaussian(max(PYRAMID_SIGMA_MM) / sensor.mm_per_px).kernel) > LONGEST_KERNEL:
-        problem = f"pixels of {sensor.mm_per_px:g} mm are too small"
-    else:
-        return ""
-    return f"in a batch {problem}"
+        return f"a batch draws no optical effect but shadows; the table has {', '.join(others)}"
+    if not isinstance(model, Quadratic | Response):
+        return f"a batch cannot draw the image model {model.kind!r} yet"
+    if n_columns > MOST_COLUMNS:
+        return f"a batch draws up to {MOST_COLUMNS} columns of markers, the sensor has {n_columns}"
+    if len(Gaussian(max(PYRAMID_SIGMA_MM) / sensor.mm_per_px).kernel) > LONGEST_KERNEL:
+        return f"pixels of {sensor.mm_per_px:g} mm are too small for a batch"
+    return ""
 
 
 class BatchRenderer:
@@ -92,14 +91,14 @@ class BatchRenderer:
     ) -> None:
         if problem := undrawable(sensor, table, markers=markers):
             msg = f"{problem}; use tacgen.Sensor"
-            raise SensorError(msg)
+            raise TableError(msg)
         self.n, self.device, self._sensor = n, device, sensor
         self.height, self.width = sensor.shape_px
         is_cuda = device.is_cuda
         self._lanes, self._block = (CUDA_LANES, CUDA_BLOCK) if is_cuda else (1, 1)
         self._surround, self._cut = Surround(sensor), list[CellMesh]()
         self._meshes: Any = None
-        self._part = self._fitting_part(CUDA_PART if is_cuda else CPU_PART, shadows=shadows)
+        self.part = self._fitting_part(CUDA_PART if is_cuda else CPU_PART, shadows=shadows)
         self.worlds = self._allocate()
         if keeps_grey:
             self.worlds.grey = self._zeros((n, self.height, self.width, 3), wp.float32)
@@ -107,7 +106,7 @@ class BatchRenderer:
         self._prepare_pyramid(sensor.mm_per_px)
         if markers and sensor.markers is not None:
             self._prepare_markers(sensor.markers)
-        self._no_beside = self._zeros((self._part, 0), wp.int32)
+        self._no_beside = self._zeros((self.part, 0), wp.int32)
 
     def _put(self, values: Any, dtype: Any) -> wp.array:
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
@@ -131,7 +130,7 @@ class BatchRenderer:
         return int(max(1, min(self.n, most, (free - self.n * each) // at_work)))
 
     def _allocate(self) -> Any:
-        n, b, h, w, zeros = self.n, self._part, self.height, self.width, self._zeros
+        n, b, h, w, zeros = self.n, self.part, self.height, self.width, self._zeros
         p = k.Worlds()
         p.lanes, p.mm_per_px, p.grain_mm = self._lanes, self._sensor.mm_per_px, GAP_GRAIN_MM
         p.wrong, p.asked = zeros(len(WRONG), wp.int32, n), zeros(n, wp.float64)
@@ -198,7 +197,7 @@ class BatchRenderer:
 
     def _lights_on_device(self, table: LookupTable, shadow: Any) -> Any:
         """The lights as ``optics.effects.shadow.cast_shadow`` takes them."""
-        ready, b, h, w = k.Lights(), self._part, self.height, self.width
+        ready, b, h, w = k.Lights(), self.part, self.height, self.width
         if shadow is None:
             return ready
         values = SHADOW.prepare(table, self._sensor.leds, **shadow)
@@ -235,12 +234,10 @@ class BatchRenderer:
         p.markers_mm = self._zeros((self.n, len(places_mm), 2), wp.float32)
         p.sheared_mm = self._zeros((self.n, len(places_mm), 2), wp.float32)
 
-    def move_markers(self, motion_mm: FloatArray | None) -> None:
-        """How far shear has moved the markers (N, M, 2); None: not at all."""
-        if self.worlds.n_markers and motion_mm is None:
+    def release_markers(self) -> None:
+        """No shear has moved the markers."""
+        if self.worlds.n_markers:
             self.worlds.sheared_mm.zero_()
-        elif self.worlds.n_markers:
-            self.worlds.sheared_mm.assign(motion_mm)
 
     def place_markers(self, places_mm: Sequence[FloatArray | None]) -> None:
         """Where those of the first worlds are, (M, 2), for ``draw`` without ``moves_markers``."""
@@ -258,13 +255,14 @@ class BatchRenderer:
         self._levels, (h, w) = [self.worlds.surface], (self.height, self.width)
         for _ in range(2):
             h, w = (h + 1) // 2 + 4, (w + 1) // 2 + 4
-            self._levels.append(self._zeros((self._part, h, w), wp.float32))
-        self._along = self._zeros((self._part, self.height + 8, self.width + 8), wp.float32)
+            self._levels.append(self._zeros((self.part, h, w), wp.float32))
+        self._along = self._zeros((self.part, self.height + 8, self.width + 8), wp.float32)
 
     # Launches ------------------------------------------------------------------------------------
 
-    def _launch(self, kernel: Any, *dim: int, inputs: Any) -> None:
-        wp.launch(kernel, dim=dim, inputs=inputs, device=self.device, block_dim=self._block)
+    def _launch(self, kernel: Any, *dim: int, inputs: Any, block: int = 0) -> None:
+        block = block or self._block
+        wp.launch(kernel, dim=dim, inputs=inputs, device=self.device, block_dim=block)
 
     def _rows(self, kernel: Any, *inputs: Any) -> None:
         """A kernel for every row of the worlds at work."""
@@ -281,8 +279,8 @@ class BatchRenderer:
     def parts(self, n: int | None = None) -> Iterator[int]:
         """The first world of each part of the batch, which is then at work; of the first ``n``."""
         n = self.n if n is None else n
-        for start in range(0, n, self._part):
-            self._count = min(self._part, n - start)
+        for start in range(0, n, self.part):
+            self._count = min(self.part, n - start)
             self.worlds.start = start
             yield start
 
@@ -322,7 +320,7 @@ class BatchRenderer:
                                          for one in self._cut)], axis=0)  # fmt: skip
         self._most_cells = int(np.diff(starts[:, 2]).max())
         rows = list(zip(self._cut, starts, strict=False))
-        m, b, surround = k.Meshes(), self._part, self._surround
+        m, b, surround = k.Meshes(), self.part, self._surround
         m.vertices_mm = self._put(np.concatenate([c.vertices_mm for c in self._cut]), wp.float64)
         m.faces = self._put(np.concatenate([c.faces + at[0] for c, at in rows]), wp.int32)
         first = [c.first[:-1, 1] + at[1] for c, at in rows]
@@ -365,6 +363,17 @@ class BatchRenderer:
             per_mm = 1.0 / GAP_GRAIN_MM
             self._each(k.gather_beside, around, self._outside, per_mm, self._beside)
         self._indent(window.gap_mm, 0, self._beside, is_depth=is_depth, clears=True)
+
+    def shear_meshes(self, gels: Any) -> None:
+        """Move the objects, and the markers, with the gels that they pull; then indent anew."""
+        p, lanes = self.worlds, self._lanes
+        self._launch(shear_kernels.press, self._count, gels.y_mm.shape[0], lanes, inputs=[p, gels])
+        inputs = p, gels, lanes
+        self._launch(shear_kernels.shear, self._count, lanes, inputs=inputs, block=lanes)
+        self._each(shear_kernels.carry, p, gels, self._meshes.poses)
+        if p.n_markers:
+            inputs = p, gels, p.sheared_mm
+            self._launch(shear_kernels.carry_markers, self._count, p.n_markers, inputs=inputs)
 
     def _rasterize(self, grid: Any) -> None:
         dim = self._count, self._most_cells, grid.lanes

@@ -12,9 +12,12 @@ from tacgen.collection.bench import batch_figures
 from tacgen.contact import gap_map, solve_indentation
 from tacgen.contact.law import ContactLaw, FittedEffect
 from tacgen.core.errors import ContactError, SensorError, TableError
-from tacgen.core.records import Estimate
+from tacgen.core.records import ContactFrame, Estimate
 from tacgen.objects import load_object
 from tacgen.optics.table import save_table
+from tacgen.sensor.gel_response import gel_loads
+from tacgen.sensor.simulated import as_mesh
+from tacgen.sensor.tactile_pad import TactilePad
 from validation.batch.frames import compare, random_frames
 
 pytest.importorskip("warp")
@@ -93,6 +96,36 @@ def test_shear_remembers_until_it_is_reset():
     assert np.abs(after_mm[0] - rest_mm[0]).max() > 1e-3  # where it slipped, some stays
     # Without a clock every frame is a new press.
     assert np.abs(sensor.render_meshes([ball] * 2, poses, 3.0).markers_mm - rest_mm).max() < 1e-5
+
+
+def test_a_course_of_shear_is_that_of_one_pad():
+    """Pressed, pulled, turned, slid, left and pressed again: markers, poses and what remains."""
+    sensor, pads = batch(3, markers=True), []
+    description, law = sensor.description, sensor.law
+    ball = sensor.add_mesh(BALL)
+    for _ in range(3):
+        pads.append(TactilePad(description, sensor.table, markers=True))
+    solid, before = as_mesh(BALL), [None] * 3
+    rng = np.random.default_rng(2)
+    for step in range(8):
+        at_mm = np.array([[0.1 * step, 0.0], [4.0, 1.0], [60.0 if step == 4 else 9.0, -6.5]])
+        poses = np.stack([trimesh.transformations.translation_matrix((*at, 0)) for at in at_mm])
+        force_n = np.array([2.0 + step, 5.0, 1.0 if step != 5 else 0.0])
+        shear_n = rng.uniform(-0.6, 0.6, (3, 2)) * force_n[:, None]
+        shear_n[1] = (0.7 * step, 0.0)  # from step 6 on more than friction holds
+        turn = np.array([0.0, 3.0, -1.0]) * (step % 3 == 0)
+        out = sensor.render_meshes([ball] * 3, poses, force_n, shear_n, turn, time_s=0.1 * step)
+        assert out.slides.tolist() == (np.hypot(*shear_n.T) > 0.8 * force_n).tolist()
+        for k, pad in enumerate(pads):
+            frame = ContactFrame(0.1 * step, force_n[k], shear_n[k], turn[k], poses[k])
+            before[k] = pad.press(solid, poses[k], gel_loads(law, [frame])[0], before[k])
+            assert np.abs(out.markers_mm[k] - pad.markers_mm(before[k])).max() < 5e-5
+            assert out.indentation_mm[k] == pytest.approx(before[k].indentation_mm, abs=1e-6)
+            rgb = pad.image(before[k]).astype(int)
+            assert np.abs(rgb - out.rgb[k]).max() <= 1
+    assert out.slides[1]
+    assert before[0].shear is not None
+    assert not np.array_equal(before[0].shear.sticks, before[0].shear.pressure > 0)  # some slips
 
 
 @pytest.fixture(params=["cpu", "cuda"])
@@ -351,7 +384,7 @@ def test_a_table_of_another_sensor(tmp_path):
     with pytest.raises(TableError):
         batch(table=tacgen.Sensor("digit").description.table)
     effects = {"vignetting": {"strength": 0.2}}
-    with pytest.raises(TableError, match="draws no optical effect but shadows, .* has vignetting"):
+    with pytest.raises(TableError, match="draws no optical effect but shadows; .* has vignetting"):
         batch(name=small_sensor(tmp_path, (60, 80), 0.1, effects=effects))
 
 
