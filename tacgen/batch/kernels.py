@@ -147,7 +147,7 @@ def check_ids(ids: wp.array(dtype=Any), n_meshes: int, wrong: Ints, out: Ints):
     """Indices of meshes."""
     w = wp.tid()
     out[w] = int(ids[w])
-    if out[w] < 0 or out[w] >= n_meshes:
+    if wp.int64(ids[w]) < wp.int64(0) or wp.int64(ids[w]) >= wp.int64(n_meshes):
         wp.atomic_min(wrong, MESH, w)
         out[w] = 0
 
@@ -315,18 +315,18 @@ def gather_beside(g: Grid, outside: wp.array2d(dtype=wp.bool), per_mm: wp.float6
 
 @native("""
     double least = INFINITY;
-    int n_nan = 0;
+    int n_wrong = 0;
     for (int r = 0; r < map.shape[1]; r += every) {
         const auto* row = &wp::index(map, world, r, 0);
         auto low = row[0];
         low = INFINITY;
         TACGEN_ALONG(0, map.shape[2]) {
             low = row[c] < low ? row[c] : low;
-            n_nan += row[c] != row[c];
+            n_wrong += !(row[c] > -INFINITY);
         }
         least = low < least ? (double)low : least;
     }
-    if (n_nan) wp::atomic_min(&wp::index(p.wrong, 0), world);
+    if (n_wrong) wp::atomic_min(&wp::index(p.wrong, 0), world);
     wp::atomic_min(&wp::index(p.zero_mm, w), least);
 """)
 def _first_touch(
@@ -458,10 +458,11 @@ def results(p: Worlds, least_mm: wp.float32, beside: Ints2, each_mm3: wp.float64
         depth_mm = wp.float32(p.delta[w] * p.grain_mm)
     p.indentation_mm[p.start + w] = depth_mm
     p.deepest_mm[w] = wp.max(depth_mm, least_mm)
-    p.saturated[p.start + w] = p.delta[w] >= p.deepest[w]
     total = wp.float64(0.0)
     for k in range(beside.shape[1]):
         total += wp.max(p.delta[w] - wp.float64(beside[w, k]), wp.float64(0.0))
+    touches = p.zero_mm[w] < wp.float64(wp.inf) or total > wp.float64(0.0)
+    p.saturated[p.start + w] = touches and p.delta[w] >= p.deepest[w]
     p.beside_mm3[p.start + w] = total * each_mm3
 
 
@@ -507,7 +508,7 @@ def indent(p: Worlds):
     const float* row = &wp::index(given, p.start + w, r, 0);
     float deepest = 0.0f;
     TACGEN_ALONG(0, width) {
-        if (row[c] != row[c]) wp::atomic_min(&wp::index(p.wrong, 0), p.start + w);
+        if (!(fabsf(row[c]) < INFINITY)) wp::atomic_min(&wp::index(p.wrong, 0), p.start + w);
         out[c] = row[c] > 0.0f ? row[c] : 0.0f;
         deepest = out[c] > deepest ? out[c] : deepest;
     }

@@ -51,7 +51,7 @@ LONGEST_KERNEL, FLATTEST_SLOPE = 64, 1e-3
 MOST_COLUMNS = 42  # of markers, so that no row of pixels meets more than the kernel keeps
 
 WRONG = (
-    "the map holds NaN; use +inf where there is no object",
+    "the map holds NaN or an infinity; only a gap may be +inf: where there is no object",
     "force_n is negative or not finite; give a force into the gel of 0 N or more",
     "the pose is no rotation and translation; give object to gel frame, in mm, not transposed",
     "mesh_ids has an index that add_mesh has not returned",

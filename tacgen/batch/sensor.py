@@ -18,7 +18,7 @@ from tacgen.contact.gap import GAP_GRAIN_MM
 from tacgen.contact.law import ContactLaw
 from tacgen.core.errors import ContactError, SensorError
 from tacgen.core.optional_dependencies import require_extra
-from tacgen.sensor.simulated import MeshLike, Sensor, as_mesh
+from tacgen.sensor.simulated import MeshLike, Sensor, as_mesh, warn_of_metres
 
 NUMBERS = ("int32", "int64", "float32", "float64")
 FIELDS = ("rgb", "depth_mm", "contact_mask", "indentation_mm", "saturated")
@@ -103,6 +103,9 @@ class BatchSensor:
         if not isinstance(n, int | np.integer) or n < 1:
             msg = f"n = {n}: give the number of worlds, 1 or more"
             raise SensorError(msg)
+        if not isinstance(seed, int | np.integer):
+            msg = f"seed = {seed!r}: give a whole number"
+            raise SensorError(msg)
         single = Sensor(name, table, contact, shadows=shadows, markers=markers)
         self.description, self.law, self.table = single.description, single.law, single.table
         self.n = n = int(n)
@@ -119,7 +122,7 @@ class BatchSensor:
             markers=markers,
             noise_grey=sigma,
         )
-        self._seed, self._calls = seed, 0
+        self._seed, self._calls = int(seed), 0
         self._gels = Gels(self.description, self.law, n, self._device, self._renderer.part)
         self._is_depth = self.law.law == "linear_depth"
 
@@ -209,6 +212,10 @@ class BatchSensor:
             raise SensorError(msg)
         ids = arrays.as_warp(mesh_ids, "mesh_ids", (self.n,), self._device, ("int32", "int64"))
         pose = arrays.as_warp(poses, "poses", (self.n, 4, 4), self._device, NUMBERS)
+        if not self._calls:
+            places = pose.numpy()
+            farthest = np.abs(places[:, :3, 3]).max(axis=1).argmax()
+            warn_of_metres(places[farthest], "poses: no object")
         gels = self._ask(force_n, shear_n, turn, time_s)
         drawn = self._renderer
         drawn.pose_meshes(ids, pose)

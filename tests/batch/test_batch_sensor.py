@@ -82,6 +82,21 @@ def test_shear_moves_object_and_markers_as_of_one_sensor(name):
     assert difference.other == []
 
 
+def test_numbers_for_all_worlds_and_bytes_the_other_way_round(pair):
+    sensor, gaps = pair
+    rgb = sensor.render(gaps, [2.0, 2.0]).rgb.copy()
+    for force_n in (2, np.float32(2.0), np.array(2.0), np.array([2.0, 2.0], ">f8")):
+        assert np.array_equal(sensor.render(gaps.astype(">f4"), force_n).rgb, rgb)
+
+
+def test_poses_in_metres_are_doubted():
+    sensor = batch()
+    ball, poses = sensor.add_mesh(BALL), two_poses()
+    poses[0, 0, 3] = 0.004
+    with pytest.warns(UserWarning, match="poses: no object moves by 0.004 mm.*in metres"):
+        sensor.render_meshes([ball] * 2, poses, 1.0)
+
+
 def test_shear_remembers_until_it_is_reset():
     sensor = batch(markers=True)
     ball, poses = sensor.add_mesh(BALL), two_poses()
@@ -90,7 +105,7 @@ def test_shear_remembers_until_it_is_reset():
     pulled_mm = pulled_mm.markers_mm.copy()
     # D = k_s F_s, of markers 2 mm apart.
     assert (pulled_mm - rest_mm)[:, :, 0].sum(axis=1) == pytest.approx(1.0, rel=0.05)
-    sensor.reset([1])
+    sensor.reset(np.array([False, True]))
     after_mm = sensor.render_meshes([ball] * 2, poses, 3.0, time_s=1.0).markers_mm
     assert np.abs(after_mm[1] - rest_mm[1]).max() < 1e-5
     assert np.abs(after_mm[0] - rest_mm[0]).max() > 1e-3  # where it slipped, some stays
@@ -224,6 +239,7 @@ def test_nothing_and_everything(pair):
     assert np.array_equal(out.rgb[0], rest)
     assert out.indentation_mm[0] == 0
     assert not out.contact_mask[0].any()
+    assert not out.saturated[0]
     assert out.saturated[1]
     assert out.indentation_mm[1] == pytest.approx(sensor.description.gel_depth_mm, abs=1e-6)
     assert np.array_equal(sensor.render(gaps, [0.0, 0.0]).rgb[1], rest)
@@ -324,7 +340,7 @@ def with_nan(gaps):
         ),
         (lambda s, g: s.render(g.astype(str), [1, 1]), "gap_mm is of <U32; convert it to numbers"),
         (lambda s, g: s.render("gaps", [1, 1]), "gap_mm is a str; give a torch, JAX, Warp or Num"),
-        (lambda s, g: s.render(with_nan(g), [1, 1]), "world 1: the map holds NaN; use .inf where"),
+        (lambda s, g: s.render(with_nan(g), [1, 1]), "world 1: the map holds NaN or an infi"),
         (lambda s, g: s.render(g, [1.0, -1.0]), "world 1: force_n is negative or not finite; give"),
         (lambda s, g: s.render(g, [np.nan, 1.0]), "world 0: force_n is negative or not finite"),
         (lambda s, g: s.render(g, [1.0]), r"force_n has the shape \(1,\); give \(2,\)"),
@@ -334,7 +350,23 @@ def with_nan(gaps):
             "shear moves the object, which a gap map",
         ),
         (lambda s, g: s.render(g, [1, 1], [1, 0]), r"shear_n has the shape \(2,\); give \(2, 2\)"),
-        (lambda s, g: s.render_depth(with_nan(g)), "world 1: the map holds NaN"),
+        (lambda s, g: s.render(np.where(g > 1, g, -np.inf).astype("f4"), 1), "world 0: the map h"),
+        (
+            lambda s, g: s.render_depth(with_nan(0 * np.isinf(g).astype("f4"))),
+            "world 1: the map holds NaN",
+        ),
+        (lambda s, g: s.render_depth(g + np.float32(np.inf)), "world 0: the map holds NaN or an"),
+        (lambda s, g: s.render_meshes([0, 2**40], two_poses(), [1, 1]), "world 1: mesh_ids has an"),
+        (
+            lambda s, g: s.render_meshes([0, 0], two_poses(), 1, time_s=[0, np.nan]),
+            "time_s is not f",
+        ),
+        (
+            lambda s, g: s.render_meshes([0, 0], two_poses(), 1, [[np.inf, 0]] * 2),
+            "shear_n, turn or",
+        ),
+        (lambda s, g: s.reset([0.5]), "world_ids is of float64; give indices of worlds, or a mask"),
+        (lambda s, g: s.reset([True]), "world_ids is of bool; give indices"),
         (lambda s, g: s.render_meshes([0, 9], two_poses(), [1, 1]), "world 1: mesh_ids has an ind"),
         (lambda s, g: s.render_meshes([0, 0], two_poses(2.0), [1, 1]), "world 1: the pose is no r"),
         (lambda s, g: s.render_meshes([0.5, 0], two_poses(), [1, 1]), "mesh_ids: .* are no int64"),
