@@ -9,10 +9,11 @@ import warp as wp
 from tacgen.core.errors import SensorError
 
 
-def find_device(name: str) -> wp.Device:
-    """The device of that name; a ``SensorError`` if Warp does not have it."""
+def find_device(device: Any) -> wp.Device:
+    """The device of that name, or of torch; a ``SensorError`` if Warp does not have it."""
+    name = str(device)
     try:
-        if not str(name).startswith("cuda") or wp.is_cuda_available():
+        if not name.startswith("cuda") or wp.is_cuda_available():
             return wp.get_device(name)
         msg = f"device = {name!r} is not here: Warp finds no CUDA GPU; give device='cpu'"
         raise SensorError(msg)
@@ -37,6 +38,8 @@ def as_warp(
 
     Raises ``SensorError`` if it is on another device, of another shape or of another type.
     """
+    if getattr(array, "shape", None) == () and hasattr(array, "item"):
+        array = array.item()
     if isinstance(array, (int, float, list, tuple)):
         found = _from_numpy(_from_list(array, name, shape, dtypes[-1]), name).to(device)
     elif isinstance(array, np.ndarray):
@@ -83,12 +86,20 @@ def _from_numpy(array: np.ndarray[Any, Any], name: str) -> wp.array:
     if array.dtype.kind not in "fiub":
         msg = f"{name} is of {array.dtype}; convert it to numbers"
         raise SensorError(msg)
-    return wp.array(np.ascontiguousarray(array), device="cpu", copy=False)
+    native = np.ascontiguousarray(array, array.dtype.newbyteorder("="))
+    return wp.array(native, device="cpu", copy=False)
 
 
 def upload(values: np.ndarray[Any, Any], device: wp.Device) -> wp.array:
     """Numbers of the host on a device."""
     return wp.array(values, device=device)
+
+
+def on_host(array: Any) -> np.ndarray[Any, Any]:
+    """Numbers of any library, of any device, for NumPy."""
+    if isinstance(array, wp.array):
+        return np.asarray(array.numpy())
+    return np.asarray(array.cpu() if kind_of(array) == "torch" else array)
 
 
 def as_kind(array: wp.array, kind: str) -> Any:

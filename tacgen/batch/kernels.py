@@ -52,7 +52,7 @@ _PRELUDE = """
 """
 
 
-def _native(body: str) -> Any:
+def native(body: str) -> Any:
     """A function of C++ for a thread ``lane`` of ``lanes``."""
     return wp.func_native(_PRELUDE + body)
 
@@ -74,6 +74,7 @@ class Worlds:
     wrong: Ints
     asked: Doubles  # volume in pixels × grains, or δ in grains, (N,)
     rgb: wp.array4d(dtype=wp.uint8)
+    grey: Map4  # instead of rgb where it is not empty: grey levels before they are rounded
     depth_mm: Map3
     contact_mask: wp.array3d(dtype=wp.bool)
     indentation_mm: Floats
@@ -146,7 +147,7 @@ def check_ids(ids: wp.array(dtype=Any), n_meshes: int, wrong: Ints, out: Ints):
     """Indices of meshes."""
     w = wp.tid()
     out[w] = int(ids[w])
-    if out[w] < 0 or out[w] >= n_meshes:
+    if wp.int64(ids[w]) < wp.int64(0) or wp.int64(ids[w]) >= wp.int64(n_meshes):
         wp.atomic_min(wrong, MESH, w)
         out[w] = 0
 
@@ -205,7 +206,7 @@ class Grid:
     lanes: int
 
 
-@_native("""
+@native("""
     // The triangles of a cell of a mesh: lowers gaps to the nearest surface.
     const int n_rows = g.gap_mm.shape[1], n_columns = g.gap_mm.shape[2], lanes = g.lanes;
     const double* t = &wp::index(m.poses, world, 0, 0);
@@ -312,20 +313,20 @@ def gather_beside(g: Grid, outside: wp.array2d(dtype=wp.bool), per_mm: wp.float6
 # From gaps to the indentation --------------------------------------------------------------------
 
 
-@_native("""
+@native("""
     double least = INFINITY;
-    int n_nan = 0;
+    int n_wrong = 0;
     for (int r = 0; r < map.shape[1]; r += every) {
         const auto* row = &wp::index(map, world, r, 0);
         auto low = row[0];
         low = INFINITY;
         TACGEN_ALONG(0, map.shape[2]) {
             low = row[c] < low ? row[c] : low;
-            n_nan += row[c] != row[c];
+            n_wrong += !(row[c] > -INFINITY);
         }
         least = low < least ? (double)low : least;
     }
-    if (n_nan) wp::atomic_min(&wp::index(p.wrong, 0), world);
+    if (n_wrong) wp::atomic_min(&wp::index(p.wrong, 0), world);
     wp::atomic_min(&wp::index(p.zero_mm, w), least);
 """)
 def _first_touch(
@@ -340,7 +341,7 @@ def first_touch(gap_mm: wp.array3d(dtype=Any), start: int, every: int, lanes: in
     _first_touch(gap_mm, p, every, start + w, w, lane, lanes)
 
 
-@_native("""
+@native("""
     const int lanes = p.lanes;
     auto* row = &wp::index(map, world, r, 0);
     int* out = &wp::index(p.grains, w, r, 0);
@@ -365,7 +366,7 @@ def to_grains(gap_mm: wp.array3d(dtype=Any), start: int, clears: bool, p: Worlds
     _to_grains(gap_mm, p, clears, start + w, w, r, lane)
 
 
-@_native("""
+@native("""
     // V(delta) = volume by Newton from the right: no step can miss, and the last is exact.
     const int n_beside = beside.shape[1];
     const int* around = n_beside ? &wp::index(beside, w, 0) : nullptr;
@@ -457,10 +458,11 @@ def results(p: Worlds, least_mm: wp.float32, beside: Ints2, each_mm3: wp.float64
         depth_mm = wp.float32(p.delta[w] * p.grain_mm)
     p.indentation_mm[p.start + w] = depth_mm
     p.deepest_mm[w] = wp.max(depth_mm, least_mm)
-    p.saturated[p.start + w] = p.delta[w] >= p.deepest[w]
     total = wp.float64(0.0)
     for k in range(beside.shape[1]):
         total += wp.max(p.delta[w] - wp.float64(beside[w, k]), wp.float64(0.0))
+    touches = p.zero_mm[w] < wp.float64(wp.inf) or total > wp.float64(0.0)
+    p.saturated[p.start + w] = touches and p.delta[w] >= p.deepest[w]
     p.beside_mm3[p.start + w] = total * each_mm3
 
 
@@ -480,7 +482,7 @@ _INDENT = """
 """
 
 
-@_native(
+@native(
     _INDENT
     % """
     const int* row = &wp::index(p.grains, w, r, 0);
@@ -500,13 +502,13 @@ def indent(p: Worlds):
     _indent(p, w, r, lane)
 
 
-@_native(
+@native(
     _INDENT
     % """
     const float* row = &wp::index(given, p.start + w, r, 0);
     float deepest = 0.0f;
     TACGEN_ALONG(0, width) {
-        if (row[c] != row[c]) wp::atomic_min(&wp::index(p.wrong, 0), p.start + w);
+        if (!(fabsf(row[c]) < INFINITY)) wp::atomic_min(&wp::index(p.wrong, 0), p.start + w);
         out[c] = row[c] > 0.0f ? row[c] : 0.0f;
         deepest = out[c] > deepest ? out[c] : deepest;
     }
@@ -534,7 +536,7 @@ def results_of_depth(p: Worlds, gel_depth_mm: wp.float32, least_mm: wp.float32):
 # How the gel bends around it ---------------------------------------------------------------------
 
 
-@_native("""
+@native("""
     const int lanes = p.lanes;
     TACGEN_ALONG(window[2], window[3])
         wp::index(p.height_mm, w, r, c) = wp::index(p.rest_mm, r, c);
@@ -564,7 +566,7 @@ def clear(p: Worlds):
     p.relief_mm[w] = 0.0
 
 
-@_native("""
+@native("""
     const int lanes = p.lanes;
     float* out = &wp::index(p.surface, w, r, 0);
     const float* depth = &wp::index(p.depth_mm, p.start + w, r, 0);
@@ -584,7 +586,7 @@ def place(p: Worlds, margin: int):
         _place(p, p.patches[w], frame, w, r, lane)
 
 
-@_native("""
+@native("""
     // Means of blocks of 2×2 pixels; beyond the window its edges go on.
     const int last = window[1] - window[0] - 1, end = window[3] - window[2] - 1;
     const int above = wp::clamp(2 * r - 4, 0, last), below = wp::clamp(2 * r - 3, 0, last);
@@ -603,7 +605,7 @@ def place(p: Worlds, margin: int):
 def _halve(source: Map3, window: wp.vec4i, target: Map3, w: int, r: int, lane: int, lanes: int): ...
 
 
-@_native("""
+@native("""
     // One row blurred along itself; beyond the window its edges go on.
     const int radius = kernel.shape[0] - 1, beyond = TILE == 1 ? 0 : radius;
     const float* k = &wp::index(kernel, 0);
@@ -638,7 +640,7 @@ def _blur_along(
 ): ...  # fmt: skip
 
 
-@_native("""
+@native("""
     // One row of the sum along columns; beyond the window its edges go on.
     const int radius = kernel.shape[0] - 1;
     const float* k = &wp::index(kernel, 0);
@@ -661,7 +663,7 @@ def _blur_down(
 ): ...  # fmt: skip
 
 
-@_native("""
+@native("""
     // One row between the middles of the blocks that halving made, three quarters from the near.
     const int at = r - window[0], near = at / 2 + 2, far = at % 2 ? near + 1 : near - 1;
     const float* close = &wp::index(source, w, near, 0);
@@ -704,7 +706,7 @@ def resample(
             _double(source, window, target, w, r, lane, lanes)
 
 
-@_native("""
+@native("""
     const int lanes = p.lanes;
     const float* depth = &wp::index(p.depth_mm, p.start + w, r, 0);
     float* out = &wp::index(p.surface, w, r, 0);
@@ -729,7 +731,7 @@ def keep_contact(p: Worlds, loose: wp.float32, firm: wp.float32):
         _keep_contact(p, window, loose * deep_mm, 1.0 / ((firm - loose) * deep_mm), w, r, lane)
 
 
-@_native("""
+@native("""
     const int lanes = p.lanes;
     const float* deformation = &wp::index(p.surface, w, r, 0);
     const float* rest = &wp::index(p.rest_mm, r, 0);
@@ -851,7 +853,7 @@ _SLOPES = """
 """
 
 
-@_native(
+@native(
     _SLOPES
     + """
     // A quadratic in position between nodes of slope and direction, on the background.
@@ -878,7 +880,7 @@ _SLOPES = """
 def _shade_quadratic(p: Worlds, t: Table, span: wp.vec2i, w: int, r: int, lane: int): ...
 
 
-@_native(
+@native(
     _SLOPES
     + """
     // Light of any course in position, between nodes of row, column, slope and direction.
@@ -973,7 +975,7 @@ def seen(p: Worlds, lights: Lights, w: int) -> wp.vec4i:
     return grown(p.changed[w], margin, 1, p.height_mm.shape[1], p.height_mm.shape[2])
 
 
-@_native("""
+@native("""
     const int lanes = p.lanes;
     const float* row = &wp::index(p.height_mm, w, r, 0);
     TACGEN_ALONG(window[2], window[3]) wp::index(turned_mm, w, c, r) = row[c];
@@ -990,7 +992,7 @@ def turn(p: Worlds, lights: Lights):
         _turn(p, window, lights.turned_mm, w, r, lane)
 
 
-@_native("""
+@native("""
     // The lowest relief met on the way from the light, lifted by the ray's rise, goes along from
     // row to row: what is above it is hidden.
     const float across_px = wp::index(lights.across_px, led), per_mm = lights.per_mm;
@@ -1034,7 +1036,7 @@ def sweep(p: Worlds, lights: Lights, lanes: int):
             _sweep(p.height_mm, lights, s[0], s[1], s[2], s[3], w, led, lane, lanes)
 
 
-@_native("""
+@native("""
     // Motion away from the indentation, of which a marker sees some points spread evenly over it.
     const auto& patch = wp::index(p.patches, w);
     const int height = wp::max(patch[1] - patch[0], 0), width = wp::max(patch[3] - patch[2], 0);
@@ -1068,7 +1070,7 @@ def spread(p: Worlds, most_points: int, decay: wp.float64, gain: wp.float64):
     _spread(p, most_points, decay, gain, w, m)
 
 
-@_native("""
+@native("""
     // At rest outside the columns seen, else lit, hidden, noisy and rounded.
     const int lanes = p.lanes, height = p.rgb_at_rest.shape[0], width = p.rgb_at_rest.shape[1];
     const int world = p.start + w;
@@ -1077,7 +1079,7 @@ def spread(p: Worlds, most_points: int, decay: wp.float64, gain: wp.float64):
     const float* rest = &wp::index(p.image_at_rest, r, 0, 0);
     const float* rest_lit = &wp::index(p.lit_at_rest, r, 0, 0);
     const float* lit = &wp::index(p.image, w, r, 0, 0);
-    const bool is_row = r >= window[0] && r < window[1];
+    const bool is_row = r >= window[0] && r < window[1], is_rounded = p.grey.shape[0] == 0;
     const float sigma = p.noise_grey, radius = p.marker_radius_px;
     float dots[2 * 128];  // places x, y of those that this row meets, in pixels
     int n_dots = 0;
@@ -1093,7 +1095,7 @@ def spread(p: Worlds, most_points: int, decay: wp.float64, gain: wp.float64):
         bool is_dotted = false;
         for (int m = 0; m < n_dots; m++)
             is_dotted |= dots[2 * m] > c0 - radius - 1.0f && dots[2 * m] < c0 + n + radius;
-        if (is_still && sigma <= 0.0f && !is_dotted) {
+        if (is_still && sigma <= 0.0f && !is_dotted && is_rounded) {
             for (int i = 3 * c0; i < 3 * (c0 + n); i++) out[i] = still[i];
             continue;
         }
@@ -1126,6 +1128,8 @@ def spread(p: Worlds, most_points: int, decay: wp.float64, gain: wp.float64):
                 const float shown = 1.0f - cover * (1.0f - ink_transmission);
                 for (int j = 0; j < 3; j++) grey[3 * i + j] *= shown;
             }
+        for (int i = 0; i < 3 * n && !is_rounded; i++)
+            wp::index(p.grey, world, r, c0 + i / 3, i % 3) = grey[i];
         const wp::uint32 first = 3u * ((wp::uint32)(world * height + r) * width + c0);
         for (int i = 0; i < 3 * n && sigma > 0.0f; i++) {  // 12 random bits: a hash of the place
             wp::uint32 x = seed + 0x9E3779B9u * (first + i);
@@ -1133,7 +1137,7 @@ def spread(p: Worlds, most_points: int, decay: wp.float64, gain: wp.float64):
             x = (x ^ (x >> 15)) * 0x846CA68Bu;
             grey[i] += sigma * wp::index(p.quantiles, (int)((x ^ (x >> 16)) >> 20));
         }
-        for (int i = 0; i < 3 * n; i++) {
+        for (int i = 0; i < 3 * n && is_rounded; i++) {
             const float level = grey[i] + 0.5f;
             out[3 * c0 + i] = (wp::uint8)(int)wp::clamp(level, 0.0f, 255.0f);
         }

@@ -1,13 +1,14 @@
 """The memory of a batch, and the order in which its kernels run."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 import warp as wp
 
 from tacgen.batch import kernels as k
+from tacgen.batch import shear_kernels
 from tacgen.batch.arrays import free_bytes
 from tacgen.contact.gap import (
     FIRST_ROWS,
@@ -50,12 +51,27 @@ LONGEST_KERNEL, FLATTEST_SLOPE = 64, 1e-3
 MOST_COLUMNS = 42  # of markers, so that no row of pixels meets more than the kernel keeps
 
 WRONG = (
-    "the map holds NaN; use +inf where there is no object",
+    "the map holds NaN or an infinity; only a gap may be +inf: where there is no object",
     "force_n is negative or not finite; give a force into the gel of 0 N or more",
     "the pose is no rotation and translation; give object to gel frame, in mm, not transposed",
     "mesh_ids has an index that add_mesh has not returned",
 )
 """What each place of ``wrong`` in the kernels means."""
+
+
+def undrawable(sensor: Description, table: LookupTable, *, markers: bool) -> str:
+    """Why pictures of a sensor cannot be drawn in batches; empty if they can."""
+    others, model = [name for name in table.effects if name != SHADOW.name], table.image_model
+    n_columns = sensor.markers.columns if markers and sensor.markers else 0
+    if others:
+        return f"a batch draws no optical effect but shadows; the table has {', '.join(others)}"
+    if not isinstance(model, Quadratic | Response):
+        return f"a batch cannot draw the image model {model.kind!r} yet"
+    if n_columns > MOST_COLUMNS:
+        return f"a batch draws up to {MOST_COLUMNS} columns of markers, the sensor has {n_columns}"
+    if len(Gaussian(max(PYRAMID_SIGMA_MM) / sensor.mm_per_px).kernel) > LONGEST_KERNEL:
+        return f"pixels of {sensor.mm_per_px:g} mm are too small for a batch"
+    return ""
 
 
 class BatchRenderer:
@@ -70,21 +86,27 @@ class BatchRenderer:
         *,
         shadows: bool,
         markers: bool,
-        noise_grey: float,
+        noise_grey: float = 0.0,
+        keeps_grey: bool = False,
     ) -> None:
+        if problem := undrawable(sensor, table, markers=markers):
+            msg = f"{problem}; use tacgen.Sensor"
+            raise TableError(msg)
         self.n, self.device, self._sensor = n, device, sensor
         self.height, self.width = sensor.shape_px
         is_cuda = device.is_cuda
         self._lanes, self._block = (CUDA_LANES, CUDA_BLOCK) if is_cuda else (1, 1)
         self._surround, self._cut = Surround(sensor), list[CellMesh]()
         self._meshes: Any = None
-        self._part = self._fitting_part(CUDA_PART if is_cuda else CPU_PART, shadows=shadows)
+        self.part = self._fitting_part(CUDA_PART if is_cuda else CPU_PART, shadows=shadows)
         self.worlds = self._allocate()
+        if keeps_grey:
+            self.worlds.grey = self._zeros((n, self.height, self.width, 3), wp.float32)
         self._prepare_optics(table, noise_grey, shadows=shadows)
         self._prepare_pyramid(sensor.mm_per_px)
         if markers and sensor.markers is not None:
             self._prepare_markers(sensor.markers)
-        self._no_beside = self._zeros((self._part, 0), wp.int32)
+        self._no_beside = self._zeros((self.part, 0), wp.int32)
 
     def _put(self, values: Any, dtype: Any) -> wp.array:
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=self.device)
@@ -108,7 +130,7 @@ class BatchRenderer:
         return int(max(1, min(self.n, most, (free - self.n * each) // at_work)))
 
     def _allocate(self) -> Any:
-        n, b, h, w, zeros = self.n, self._part, self.height, self.width, self._zeros
+        n, b, h, w, zeros = self.n, self.part, self.height, self.width, self._zeros
         p = k.Worlds()
         p.lanes, p.mm_per_px, p.grain_mm = self._lanes, self._sensor.mm_per_px, GAP_GRAIN_MM
         p.wrong, p.asked = zeros(len(WRONG), wp.int32, n), zeros(n, wp.float64)
@@ -129,13 +151,7 @@ class BatchRenderer:
         sensor, shape, p = self._sensor, self._sensor.shape_px, self.worlds
         shader = Shader(table, shadows=shadows, leds=sensor.leds)
         effects = dict(with_cast_shadows(table.effects) if shadows else table.effects)
-        shadow = effects.pop(SHADOW.name, None)
-        if effects:
-            msg = (
-                f"a batch draws no optical effect but shadows, and the table has "
-                f"{', '.join(effects)}; use tacgen.Sensor, or a table without"
-            )
-            raise TableError(msg)
+        shadow = effects.get(SHADOW.name)
         rest_mm = np.ascontiguousarray(gel_map_mm(sensor), np.float32)
         whole = (0, shape[0], 0, shape[1])
         lit, rgb = np.empty((*shape, 3), np.float32), np.empty((*shape, 3), np.uint8)
@@ -157,7 +173,7 @@ class BatchRenderer:
             nodes = shade.packed_nodes(model.coefficients)
             ready.n_slope, ready.n_direction = nodes.shape[0], nodes.shape[1] - 1
             ready.interpolates = model.interpolation == "linear" and nodes.shape[0] > 1
-        elif isinstance(model, Response):
+        elif isinstance(model, Response):  # else it is refused
             nodes = shade.packed_response(model.response)
             ready.node_rows, ready.node_columns, ready.n_slope = nodes.shape[:3]
             ready.n_direction, ready.is_response, ready.interpolates = (
@@ -171,9 +187,6 @@ class BatchRenderer:
                 contact = shade.packed_contact(model.contact.change)
                 rest_mm = model.contact.rest_mm(shape, table.mm_per_px)
                 ready.contact_depth_mm = model.contact.depth_mm
-        else:
-            msg = f"a batch cannot draw the image model {model.kind!r} yet; use tacgen.Sensor"
-            raise TableError(msg)
         ready.nodes = self._put(nodes.reshape(-1), wp.float32)
         ready.per_slope = (ready.n_slope - 1) / table.max_slope_rad
         ready.per_direction = ready.n_direction / (2 * math.pi)
@@ -184,7 +197,7 @@ class BatchRenderer:
 
     def _lights_on_device(self, table: LookupTable, shadow: Any) -> Any:
         """The lights as ``optics.effects.shadow.cast_shadow`` takes them."""
-        ready, b, h, w = k.Lights(), self._part, self.height, self.width
+        ready, b, h, w = k.Lights(), self.part, self.height, self.width
         if shadow is None:
             return ready
         values = SHADOW.prepare(table, self._sensor.leds, **shadow)
@@ -215,24 +228,20 @@ class BatchRenderer:
         return ready
 
     def _prepare_markers(self, markers: Markers) -> None:
-        if markers.columns > MOST_COLUMNS:
-            msg = (
-                f"a batch draws up to {MOST_COLUMNS} columns of markers, the sensor has "
-                f"{markers.columns}; use tacgen.Sensor, or leave them out"
-            )
-            raise SensorError(msg)
         p, places_mm = self.worlds, marker_grid_mm(self._sensor)
         p.n_markers, p.marker_radius_px = len(places_mm), markers.radius_mm / self._sensor.mm_per_px
         p.markers_at_rest_mm = self._put(places_mm, wp.float32)
         p.markers_mm = self._zeros((self.n, len(places_mm), 2), wp.float32)
         p.sheared_mm = self._zeros((self.n, len(places_mm), 2), wp.float32)
 
-    def move_markers(self, motion_mm: FloatArray | None) -> None:
-        """How far shear has moved the markers (N, M, 2); None: not at all."""
-        if self.worlds.n_markers and motion_mm is None:
+    def release_markers(self) -> None:
+        """No shear has moved the markers."""
+        if self.worlds.n_markers:
             self.worlds.sheared_mm.zero_()
-        elif self.worlds.n_markers:
-            self.worlds.sheared_mm.assign(motion_mm)
+
+    def place_markers(self, places_mm: Sequence[FloatArray | None]) -> None:
+        """Where those of the first worlds are, (M, 2), for ``draw`` without ``moves_markers``."""
+        self.worlds.markers_mm[: len(places_mm)].assign(np.asarray(places_mm, np.float32))
 
     def _prepare_pyramid(self, mm_per_px: float) -> None:
         """The kernel, halvings, alignment and reach of every Gaussian, and its memory."""
@@ -240,22 +249,20 @@ class BatchRenderer:
         self._stages = []
         for sigma_mm in (*PYRAMID_SIGMA_MM, FINAL_SIGMA_MM):
             blur = Gaussian(sigma_mm / mm_per_px)
-            if len(blur.kernel) > LONGEST_KERNEL:
-                msg = f"pixels of {mm_per_px:g} mm are too small for a batch; use tacgen.Sensor"
-                raise SensorError(msg)
             reach += blur.reach_px
             margin, halvings = min(reach, self._margin), blur.factor.bit_length() - 1
             self._stages.append((self._put(blur.kernel, wp.float32), halvings, blur.factor, margin))
         self._levels, (h, w) = [self.worlds.surface], (self.height, self.width)
         for _ in range(2):
             h, w = (h + 1) // 2 + 4, (w + 1) // 2 + 4
-            self._levels.append(self._zeros((self._part, h, w), wp.float32))
-        self._along = self._zeros((self._part, self.height + 8, self.width + 8), wp.float32)
+            self._levels.append(self._zeros((self.part, h, w), wp.float32))
+        self._along = self._zeros((self.part, self.height + 8, self.width + 8), wp.float32)
 
     # Launches ------------------------------------------------------------------------------------
 
-    def _launch(self, kernel: Any, *dim: int, inputs: Any) -> None:
-        wp.launch(kernel, dim=dim, inputs=inputs, device=self.device, block_dim=self._block)
+    def _launch(self, kernel: Any, *dim: int, inputs: Any, block: int = 0) -> None:
+        block = block or self._block
+        wp.launch(kernel, dim=dim, inputs=inputs, device=self.device, block_dim=block)
 
     def _rows(self, kernel: Any, *inputs: Any) -> None:
         """A kernel for every row of the worlds at work."""
@@ -269,10 +276,11 @@ class BatchRenderer:
         """A kernel of one block of threads for each of the worlds at work."""
         self._launch(kernel, self._count, self._block, inputs=inputs)
 
-    def parts(self) -> Iterator[int]:
-        """The first world of each part of the batch, which is then at work."""
-        for start in range(0, self.n, self._part):
-            self._count = min(self._part, self.n - start)
+    def parts(self, n: int | None = None) -> Iterator[int]:
+        """The first world of each part of the batch, which is then at work; of the first ``n``."""
+        n = self.n if n is None else n
+        for start in range(0, n, self.part):
+            self._count = min(self.part, n - start)
             self.worlds.start = start
             yield start
 
@@ -312,7 +320,7 @@ class BatchRenderer:
                                          for one in self._cut)], axis=0)  # fmt: skip
         self._most_cells = int(np.diff(starts[:, 2]).max())
         rows = list(zip(self._cut, starts, strict=False))
-        m, b, surround = k.Meshes(), self._part, self._surround
+        m, b, surround = k.Meshes(), self.part, self._surround
         m.vertices_mm = self._put(np.concatenate([c.vertices_mm for c in self._cut]), wp.float64)
         m.faces = self._put(np.concatenate([c.faces + at[0] for c, at in rows]), wp.int32)
         first = [c.first[:-1, 1] + at[1] for c, at in rows]
@@ -356,6 +364,17 @@ class BatchRenderer:
             self._each(k.gather_beside, around, self._outside, per_mm, self._beside)
         self._indent(window.gap_mm, 0, self._beside, is_depth=is_depth, clears=True)
 
+    def shear_meshes(self, gels: Any) -> None:
+        """Move the objects, and the markers, with the gels that they pull; then indent anew."""
+        p, lanes = self.worlds, self._lanes
+        self._launch(shear_kernels.press, self._count, gels.y_mm.shape[0], lanes, inputs=[p, gels])
+        inputs = p, gels, lanes
+        self._launch(shear_kernels.shear, self._count, lanes, inputs=inputs, block=lanes)
+        self._each(shear_kernels.carry, p, gels, self._meshes.poses)
+        if p.n_markers:
+            inputs = p, gels, p.sheared_mm
+            self._launch(shear_kernels.carry_markers, self._count, p.n_markers, inputs=inputs)
+
     def _rasterize(self, grid: Any) -> None:
         dim = self._count, self._most_cells, grid.lanes
         self._launch(k.rasterize, *dim, inputs=[self._meshes, grid, self.worlds.start])
@@ -394,8 +413,8 @@ class BatchRenderer:
         self._rows(k.begin, self.worlds)
         self._each(k.clear, self.worlds)
 
-    def draw(self, seed: int) -> None:
-        """The pictures of what is indented."""
+    def draw(self, seed: int = 0, *, moves_markers: bool = True) -> None:
+        """The pictures of what is indented; markers are else where they were put."""
         p, lights = self.worlds, self._lights
         self._deform()
         self._rows(k.shade, p, self._table)
@@ -403,7 +422,7 @@ class BatchRenderer:
             self._rows(k.turn, p, lights)
             dim = self._count, lights.n, self._block
             self._launch(k.sweep, *dim, inputs=[p, lights, self._block])
-        if p.n_markers:
+        if p.n_markers and moves_markers:
             inputs = p, FIELD_POINTS, DILATION_DECAY_PER_MM2, DILATION_GAIN
             self._launch(k.spread, self._count, p.n_markers, inputs=inputs)
         self._rows(k.expose, p, lights, INK_TRANSMISSION, seed)

@@ -14,16 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from tacgen.batch.gels import Gels
 from tacgen.contact.gap import GAP_GRAIN_MM
 from tacgen.contact.law import ContactLaw
 from tacgen.core.errors import ContactError, SensorError
 from tacgen.core.optional_dependencies import require_extra
-from tacgen.sensor.gel_response import GelLoad
-from tacgen.sensor.simulated import MeshLike, Sensor, as_mesh
+from tacgen.sensor.simulated import MeshLike, Sensor, as_mesh, warn_of_metres
 
 NUMBERS = ("int32", "int64", "float32", "float64")
-FIELDS = ("rgb", "depth_mm", "contact_mask", "indentation_mm", "saturated", "markers_mm")
+FIELDS = ("rgb", "depth_mm", "contact_mask", "indentation_mm", "saturated")
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +41,9 @@ class BatchFrame:
         Deepest indentation beyond first touch; 0 where nothing touches.
     saturated : (N,) bool
         Whether the gel is pressed through to its backing.
+    slides : (N,) bool
+        Whether the shear asked for is more than friction holds: the object slides, and the gel
+        moves no farther. ``friction`` of the contact law says how rough they are.
     markers_mm : (N, M, 2) float32 or None
         Places x, y of the marker dots, gel frame; None without markers.
     """
@@ -52,6 +53,7 @@ class BatchFrame:
     contact_mask: Any
     indentation_mm: Any
     saturated: Any
+    slides: Any
     markers_mm: Any = None
 
 
@@ -101,10 +103,14 @@ class BatchSensor:
         if not isinstance(n, int | np.integer) or n < 1:
             msg = f"n = {n}: give the number of worlds, 1 or more"
             raise SensorError(msg)
+        if not isinstance(seed, int | np.integer):
+            msg = f"seed = {seed!r}: give a whole number"
+            raise SensorError(msg)
         single = Sensor(name, table, contact, shadows=shadows, markers=markers)
         self.description, self.law, self.table = single.description, single.law, single.table
         self.n = n = int(n)
         from tacgen.batch import arrays
+        from tacgen.batch.gels import Gels
         from tacgen.batch.renderer import BatchRenderer
 
         self._arrays = arrays
@@ -116,9 +122,9 @@ class BatchSensor:
             markers=markers,
             noise_grey=sigma,
         )
-        self._seed, self._calls = seed, 0
-        self._gels = Gels(self.description, self.law, n)
-        self._is_sheared = self._is_depth = False
+        self._seed, self._calls = int(seed), 0
+        self._gels = Gels(self.description, self.law, n, self._device, self._renderer.part)
+        self._is_depth = self.law.law == "linear_depth"
 
     def __repr__(self) -> str:
         return f"BatchSensor({self.description.name!r}, n={self.n}, device={str(self._device)!r})"
@@ -159,8 +165,7 @@ class BatchSensor:
         arrays, kind = self._arrays, self._arrays.kind_of(gap_mm)
         shape = (self.n, *self.description.shape_px)
         gap = arrays.as_warp(gap_mm, "gap_mm", shape, self._device, ("float32",))
-        self._ask(force_n, shear_n, turn, time_s)
-        if self._is_sheared:
+        if self._ask(force_n, shear_n, turn, time_s) is not None:
             msg = "shear moves the object, which a gap map does not tell; give render_meshes meshes"
             raise SensorError(msg)
         for start in self._renderer.parts():
@@ -173,7 +178,7 @@ class BatchSensor:
         arrays, kind = self._arrays, self._arrays.kind_of(depth_mm)
         shape = (self.n, *self.description.shape_px)
         depth = arrays.as_warp(depth_mm, "depth_mm", shape, self._device, ("float32",))
-        self._renderer.move_markers(None)
+        self._renderer.release_markers()
         for start in self._renderer.parts():
             self._renderer.take_depth(depth, start)
             self._renderer.draw(self._noise_seed())
@@ -198,9 +203,8 @@ class BatchSensor:
         ``mesh_ids`` (N,) int32 or int64 are what ``add_mesh`` returned; ``poses`` (N, 4, 4) float32
         or float64 lead from each object to its gel frame, in mm. What touches the gel beside the
         window carries its share of the force. ``shear_n`` (N, 2) are the forces of the objects
-        along the gel's x and y, ``turn`` (N,) their moments about its normal, N·mm; both are
-        followed on the host, some milliseconds a world. The arrays that come out are of the kind of
-        ``poses``. The rest is as of ``render``.
+        along the gel's x and y, ``turn`` (N,) their moments about its normal, N·mm. The arrays
+        that come out are of the kind of ``poses``. The rest is as of ``render``.
         """
         arrays, kind = self._arrays, self._arrays.kind_of(poses)
         if not self._renderer.n_meshes:
@@ -208,58 +212,79 @@ class BatchSensor:
             raise SensorError(msg)
         ids = arrays.as_warp(mesh_ids, "mesh_ids", (self.n,), self._device, ("int32", "int64"))
         pose = arrays.as_warp(poses, "poses", (self.n, 4, 4), self._device, NUMBERS)
-        loads = self._ask(force_n, shear_n, turn, time_s)
-        drawn, worlds = self._renderer, self._renderer.worlds
+        if not self._calls:
+            places = pose.numpy()
+            farthest = np.abs(places[:, :3, 3]).max(axis=1).argmax()
+            warn_of_metres(places[farthest], "poses: no object")
+        gels = self._ask(force_n, shear_n, turn, time_s)
+        drawn = self._renderer
         drawn.pose_meshes(ids, pose)
-        if self._is_sheared:
-            for start in drawn.parts():
-                drawn.indent_meshes(start, is_depth=self._is_depth)
-            if problem := drawn.problem():
-                raise ContactError(problem)
-            known = worlds.depth_mm.numpy(), worlds.beside_mm3.numpy()
-            at = pose.numpy().astype(np.float64)
-            moved, motion_mm = self._gels.shear(loads, *known, at)
-            drawn.move_markers(motion_mm)
-            drawn.pose_meshes(ids, arrays.upload(moved, self._device))
+        if gels is not None and (problem := drawn.problem()):
+            raise ContactError(problem)
         for start in drawn.parts():
             drawn.indent_meshes(start, is_depth=self._is_depth)
+            if gels is not None:
+                drawn.shear_meshes(gels)
+                drawn.indent_meshes(start, is_depth=self._is_depth)
             drawn.draw(self._noise_seed())
         return self._frame(kind)
 
     def reset(self, world_ids: Any = None) -> None:
-        """Begin a new press, on a gel at rest, in some worlds; in all without ``world_ids``."""
-        ids = range(self.n) if world_ids is None else np.asarray(world_ids).reshape(-1).tolist()
-        for world in ids:
-            if not 0 <= world < self.n:
-                msg = f"world_ids has {world}; there are worlds 0 to {self.n - 1}"
-                raise SensorError(msg)
+        """Begin a new press, on a gel at rest, in some worlds; in all without ``world_ids``.
+
+        They are indices, or a mask (N,) of bool.
+        """
+        ids = np.arange(self.n) if world_ids is None else self._arrays.on_host(world_ids)
+        if ids.dtype == bool and ids.shape == (self.n,):
+            ids = np.flatnonzero(ids)
+        if ids.dtype.kind not in "iu" and ids.size:
+            msg = f"world_ids is of {ids.dtype}; give indices of worlds, or a mask of {self.n} bool"
+            raise SensorError(msg)
+        ids = ids.reshape(-1).astype(int)
+        for world in ids[(ids < 0) | (ids >= self.n)]:
+            msg = f"world_ids has {world}; there are worlds 0 to {self.n - 1}"
+            raise SensorError(msg)
         self._gels.begin(ids)
 
-    def _ask(self, force_n: Any, shear_n: Any, turn: Any, time_s: Any) -> list[GelLoad]:
-        """Put what the law asks of each gel on the device; the loads where gels remember."""
-        n, read, law = self.n, self._arrays.as_warp, self.law
-        force = read(force_n, "force_n", (n,), self._device, NUMBERS)
-        pulls = np.zeros((n, 3))
-        for name, given, columns in (("shear_n", shear_n, slice(2)), ("turn", turn, 2)):
-            if given is not None:
-                shape = pulls[:, columns].shape
-                pulls[:, columns] = read(given, name, shape, self._device, NUMBERS).numpy()
-        self._is_sheared = bool((pulls != 0).any()) or (
-            time_s is not None and self._gels.are_sheared
-        )
-        self._is_depth = law.law == "linear_depth"
-        per_unit = GAP_GRAIN_MM * (1.0 if self._is_depth else self.description.pixel_area_mm2)
+    def _ask(self, force_n: Any, shear_n: Any, turn: Any, time_s: Any) -> Any:
+        """Put what the law asks of each gel on the device; the gels, where they are sheared."""
+        n, law, gels, drawn = self.n, self.law, self._gels, self._renderer
+
+        def read(given: Any, name: str, *shape: int) -> Any:
+            return self._arrays.as_warp(given, name, shape, self._device, NUMBERS)
+
+        force = read(force_n, "force_n", n)
+        pulls, times = np.zeros((n, 3)), None
+        if shear_n is not None:
+            pulls[:, :2] = read(shear_n, "shear_n", n, 2).numpy()
+        if turn is not None:
+            pulls[:, 2] = read(turn, "turn", n).numpy()
+        if time_s is not None:
+            times = read(time_s, "time_s", n).numpy().astype(float)
+        rows = pulls if times is None else np.column_stack([pulls, times])
+        if (wrong := np.flatnonzero(~np.isfinite(rows).all(axis=1))).size:
+            msg = f"world {wrong[0]}: shear_n, turn or time_s is not finite"
+            raise ContactError(msg)
+        is_sheared = bool(pulls.any()) or (times is not None and gels.may_be_sheared)
         compliance = law.k_depth_mm_per_n if self._is_depth else law.k_n_mm3_per_n
         factor = compliance.value if compliance is not None else 0.0
-        self._renderer.move_markers(None)
-        if not (law.effects or self._is_sheared or law.collision_margin_mm):
-            self._renderer.ask(force, factor / per_unit)
-            return []
-        loads = self._gels.loads(force.numpy().astype(float), pulls[:, :2], pulls[:, 2], time_s)
-        asked = [one.indentation_mm if self._is_depth else one.volume_mm3 for one in loads]
-        upload = self._arrays.upload
-        self._renderer.ask(upload(np.array(asked, np.float64), self._device), 1.0 / per_unit)
-        return loads
+        per_unit = GAP_GRAIN_MM * (1.0 if self._is_depth else self.description.pixel_area_mm2)
+        drawn.release_markers()
+        gels.at(times)
+        drawn.ask(force, factor / per_unit)
+        answers = law.effects or law.collision_margin_mm
+        if not (answers or is_sheared):
+            return None
+        if problem := drawn.problem():
+            raise ContactError(problem)
+        force_on_host: Any = force.numpy().astype(float)
+        along_n: Any = pulls[:, :2]
+        if answers:
+            asked, along_n = gels.responses(force_on_host, along_n, times)
+            drawn.ask(self._arrays.upload(asked, self._device), 1.0 / per_unit)
+        if not is_sheared:
+            return None
+        return gels.pull(force_on_host, pulls, along_n, keeps=times is not None)
 
     def _noise_seed(self) -> int:
         return (self._seed * 0x9E3779B1 + self._calls * 0x85EBCA77) % (1 << 32)
@@ -269,6 +294,7 @@ class BatchSensor:
         drawn = self._renderer
         if problem := drawn.problem():
             raise ContactError(problem)
-        names = FIELDS if drawn.worlds.n_markers else FIELDS[:-1]
-        found = (getattr(drawn.worlds, name) for name in names)
+        worlds = drawn.worlds
+        found = [getattr(worlds, name) for name in FIELDS] + [self._gels.slides]
+        found += [worlds.markers_mm] if worlds.n_markers else []
         return BatchFrame(*(self._arrays.as_kind(one, kind) for one in found))

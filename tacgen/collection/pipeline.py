@@ -65,13 +65,19 @@ class GraspPipeline:
     """A simulator and a sensor, kept open for many grasps of one recipe; a context manager.
 
     A sample depends on the recipe and its place in the plan alone, not on the grasps before it.
-    ``objects_kept`` is how many objects stay loaded.
+    ``objects_kept`` is how many objects stay loaded; ``device`` draws all images of a pad at once,
+    as ``optics.device`` of the recipe says.
     """
 
-    def __init__(self, recipe: Recipe, *, objects_kept: int = 4) -> None:
+    def __init__(self, recipe: Recipe, device: str = "none", *, objects_kept: int = 4) -> None:
         self.recipe, self._settings = recipe, recipe.physics_settings
         self._law = contact_law(recipe.contact)
         self._pad = tactile_pad(recipe)
+        self._on_device = None
+        if device != "none":
+            from tacgen.batch.pad_images import PadImages
+
+            self._on_device = PadImages(self._pad, len(frame_times_s(recipe)), device)
         self.simulator = GraspSimulator(recipe.robot.spec(), recipe.physics.engine)
         self._object = lru_cache(maxsize=objects_kept)(recipe_object)
 
@@ -153,19 +159,23 @@ class GraspPipeline:
             k_n_factor=factor,
             friction=grasp.grasped.friction,
         )
-        images = np.empty((len(frames), *self._pad.sensor.shape_px, 3), dtype=np.uint8)
-        rendered: list[TactileFrame] = []
+        imprints: list[Imprint] = []
         before: tuple[NDArray[np.float64], GelLoad] | None = None
-        for frame, load, rgb in zip(frames, loads, images, strict=True):
+        for frame, load in zip(frames, loads, strict=True):
             pose, load = rounded_pose_and_load(frame.pose_gel_object, load)
             if before and load == before[1] and np.array_equal(pose, before[0]):
-                imprint = rendered[-1].imprint
+                imprints.append(imprints[-1])
             else:
-                last = rendered[-1].imprint if rendered else None
-                imprint = self._pad.press(grasp.grasped.surface, pose, load, last)
-            rendered.append(TactileFrame(self._pad.image(imprint, rng=rng, rgb=rgb), imprint))
+                last = imprints[-1] if imprints else None
+                imprints.append(self._pad.press(grasp.grasped.surface, pose, load, last))
             before = pose, load
-        return images, rendered
+        if self._on_device is not None:
+            images = self._on_device.images(imprints, rng)
+        else:
+            images = np.empty((len(frames), *self._pad.sensor.shape_px, 3), dtype=np.uint8)
+            for imprint, rgb in zip(imprints, images, strict=True):
+                self._pad.image(imprint, rng=rng, rgb=rgb)
+        return images, [TactileFrame(*one) for one in zip(images, imprints, strict=True)]
 
     def picture(self, grasp: SimulatedGrasp) -> NDArray[np.uint8]:
         """The scene from outside at the moment of grasp, (h, w, 3)."""

@@ -27,6 +27,8 @@ from tacgen.core.columns import unit_problems
 from tacgen.core.config import Axis, Located, Section, as_named
 from tacgen.core.errors import ObjectError, PhysicsError, RecipeError, TacgenError
 from tacgen.core.files import sha256_of_content
+from tacgen.core.optional_dependencies import missing_extra
+from tacgen.core.progress import print_once
 from tacgen.core.resources import (
     contact_law_path,
     find_object_folder,
@@ -179,6 +181,21 @@ class Contact(Located):
         return None if self.file is None else contact_law_path(self.file, beside=self.folder)
 
 
+def _device_of(choice: str) -> str:
+    """The device that ``choice`` means here: ``auto`` is a GPU, or else none, which it says."""
+    if choice != "auto":
+        return choice
+    problem = missing_extra("batch", "it needs")
+    if not problem:
+        import warp as wp
+
+        wp.config.log_level = wp.LOG_ERROR  # standard output is for results
+        problem = "" if wp.is_cuda_available() else "Warp finds no CUDA GPU"
+    if problem:
+        print_once(f"optics.device = auto: images are drawn as without the key, since {problem}")
+    return "none" if problem else "cuda"
+
+
 class Optics(Section):
     """The renderer."""
 
@@ -188,6 +205,16 @@ class Optics(Section):
     """Draw the gel's dots, moved by pressure, shear and twist."""
     noise: Literal[True, False, "at_load"] = True
     """Add the camera's noise; ``at_load``: only when images are read, for smaller files."""
+    device: Annotated[Literal["none", "auto", "cpu", "cuda"], AfterValidator(_device_of)] = "none"
+    """Draw the images of a grasp at once, in Warp (the extra ``batch``), on a GPU (``cuda``), the
+    ``cpu``, or with ``auto`` on a GPU where there is one. Grey levels differ by up to 1 from device
+    to device."""
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without a device what was written before there was the key: the same hash."""
+        found: dict[str, Any] = write(self)
+        return {name: value for name, value in found.items() if (name, value) != ("device", "none")}
 
 
 class Split(Section):

@@ -3,15 +3,17 @@
 import contextlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from tacgen.collection.grid import PlannedGrasp, grown_plan
-from tacgen.collection.pipeline import GraspPipeline, dataset_spec, frame_times_s
+from tacgen.collection.pipeline import GraspPipeline, dataset_spec, frame_times_s, tactile_pad
 from tacgen.collection.recipe import Recipe, load_recipe
 from tacgen.core.disk import disk_errors
+from tacgen.core.errors import SensorError
+from tacgen.core.optional_dependencies import require_extra
 from tacgen.core.progress import print_status, progress_counter
 from tacgen.core.records import LABEL_NOT_EXECUTED
 from tacgen.core.workers import Event, Report, run_tasks
@@ -146,13 +148,19 @@ def prepare(
 ) -> tuple[tuple[PlannedGrasp, ...], DatasetSpec]:
     """Make ``out`` ready for the dataset of ``recipe``: its grasps, and what they have in common.
 
-    Raises ``DatasetError`` if the folder cannot be written to or holds another dataset.
+    Raises ``DatasetError`` if the folder cannot be written to or holds another dataset,
+    ``SensorError`` if the device that is to draw the images is not here.
     """
     folder = DatasetFolder(out)
     plan = grown_plan(recipe, folder.grids())
     spec = dataset_spec(
         recipe, len(plan.grasps), grids=plan.grids, parts=plan.parts, folder=folder.root
     )
+    if (device := recipe.optics.device) != "none":
+        require_extra("batch", f"optics.device = {device!r} needs", SensorError)
+        from tacgen.batch.pad_images import name_of
+
+        spec = replace(spec, inputs=spec.inputs.drawn_by(name_of(device, tactile_pad(recipe))))
     folder.prepare(spec, grow=grow)
     return plan.grasps, spec
 
@@ -186,7 +194,7 @@ def _shard_job(
     The job returns False where another process has the shard.
     """
     folder, shown, noise_grey = DatasetFolder(root), shown_grasps(spec), spec.noise_at_load_grey
-    with GraspPipeline(recipe) as pipeline:
+    with GraspPipeline(recipe, recipe.optics.device) as pipeline:
 
         def job(shard: int, crashed: Mapping[int, str], report: Report) -> bool:
             def samples() -> Iterator[GraspSample]:

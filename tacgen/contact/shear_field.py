@@ -232,6 +232,9 @@ class ShearField:
     ``decay_mm`` is ℓ; ``lattice_mm`` the distance of its points, of which the sides are multiples
     up to rounding. ``nodes_mm`` (rows, columns, 2) are their places x, y. D is summed over
     ``markers_mm`` (n, 2), which stand ``marker_pitch_mm`` apart; None: ∫ u dA over the window.
+
+    ``stiff``, ``squares``, ``alpha`` and ``over`` are as ``_sweep`` takes them, ``shown`` (rows,
+    columns, 2) is the part of a force at each node that the sum has of it.
     """
 
     def __init__(
@@ -250,31 +253,31 @@ class ShearField:
         self._x_mm = (np.arange(columns) - (columns - 1) / 2) * lattice_mm
         self._y_mm = (np.arange(rows) - (rows - 1) / 2) * lattice_mm
         self.nodes_mm = np.stack(np.meshgrid(self._x_mm, self._y_mm), axis=-1)
-        self._alpha = (decay_mm / lattice_mm) ** 2
-        self._squares = np.zeros((rows + 2, columns + 2))
-        self._squares[2:-1, 2:-1] = 1.0
-        beta = (AHEAD - 1.0) * self._alpha
-        inner = 1.0 + 4.0 * self._alpha + beta
+        self.alpha = (decay_mm / lattice_mm) ** 2
+        self.squares = np.zeros((rows + 2, columns + 2))
+        self.squares[2:-1, 2:-1] = 1.0
+        beta = (AHEAD - 1.0) * self.alpha
+        inner = 1.0 + 4.0 * self.alpha + beta
         stiff = np.ones((rows, columns, 2))
         for r, c in ((1, 1), (1, 2), (2, 1), (2, 2)):
-            stiff += 0.25 * beta * self._squares[r : rows + r, c : columns + c, None]
+            stiff += 0.25 * beta * self.squares[r : rows + r, c : columns + c, None]
         # Beyond the border the sheet goes on: its motion falls off by e in ℓ aside, ℓ_p ahead.
         aside, ahead = decay_mm / lattice_mm, math.sqrt(AHEAD) * decay_mm / lattice_mm
         for axis, beyond in ((0, (aside, ahead)), (1, (ahead, aside))):
             edge = np.moveaxis(stiff, axis, 0)
-            edge[1:] += self._alpha
-            edge[:-1] += self._alpha
+            edge[1:] += self.alpha
+            edge[:-1] += self.alpha
             edge[0] += beyond
             edge[-1] += beyond
-        self._stiff = _wide(stiff)
-        self._stiff[self._stiff == 0.0] = 1.0
+        self.stiff = _wide(stiff)
+        self.stiff[self.stiff == 0.0] = 1.0
         jacobi = 1.0 - 1.0 / inner
-        self._over = 2.0 / (1.0 + math.sqrt(1.0 - jacobi**2))  # Young 1954: the fastest
+        self.over = 2.0 / (1.0 + math.sqrt(1.0 - jacobi**2))  # Young 1954: the fastest
         counted = np.ones(self.shape)
         if markers_mm is not None:
             counted = _counted(self.shape, self.nodes_mm[0, 0], lattice_mm, markers_mm)
             counted *= (marker_pitch_mm / lattice_mm) ** 2
-        self._seen = np.stack([self._share_seen(axis, counted) for axis in (0, 1)], axis=-1)
+        self.shown = np.stack([self._share_seen(axis, counted) for axis in (0, 1)], axis=-1)
 
     def _share_seen(self, axis: int, counted: Float64) -> Float64:
         """What the markers' sum has of a force at each node along an axis, over c times it.
@@ -288,8 +291,8 @@ class ShearField:
         across = np.zeros(max(pull.shape))
         for _ in range(MOST_SWEEPS):
             most = _sweep(
-                *(sheet, held, pull < 0, still, still, pull, self._stiff, self._squares),
-                *(across, across, slide, self._alpha, self._over, sums),
+                *(sheet, held, pull < 0, still, still, pull, self.stiff, self.squares),
+                *(across, across, slide, self.alpha, self.over, sums),
             )
             if most < TOLERANCE:
                 break
@@ -349,14 +352,14 @@ class ShearField:
                 _wide(start.sheet),
                 _wide(start.held),
                 _wide(limit),
-                self._stiff,
-                self._squares,
+                self.stiff,
+                self.squares,
                 np.pad(x_mm, 1),
                 np.pad(y_mm, 1),
                 within,
                 max(float(arm / total), self.lattice_mm),
-                self._alpha,
-                self._over,
+                self.alpha,
+                self.over,
                 tolerance,
                 slide,
             )
@@ -366,7 +369,7 @@ class ShearField:
         rest = load[:2] - weighted(ones[..., 0], held)
         traction = held + share[..., None] * rest
         sheet, held = np.round(sheet / GRAIN) * GRAIN, np.round(held / GRAIN) * GRAIN
-        seen = np.maximum(weighted(share, self._seen), LEAST_SEEN)
+        seen = np.maximum(weighted(share, self.shown), LEAST_SEEN)
         return ShearState(sheet, held, traction, pressure, sticks, slide, center, seen)
 
     def _at_rest(self, center_mm: Float64) -> ShearState:

@@ -100,6 +100,7 @@ class DatasetFolder:
             "calibration": spec.calibration,
             "inputs": spec.inputs.sha256,
             "engine": spec.inputs.engine,
+            **({"device": spec.inputs.device} if spec.inputs.device else {}),
             "versions": spec.inputs.versions,
             "sensor": spec.sensor.name,
             "colors_from": spec.colors_from,
@@ -348,6 +349,8 @@ def _changed_input(
             f"{'=='.join([engine, *made_by])}` and name it in the recipe: "
             f"`physics: {{engine: {engine}}}`"
         )
+    elif role == "device":
+        yield f"device: images drawn on {made['device']} there, on {plan['device']} now"
     elif role == "versions":
         libraries = set(old) & set(new) - {"tacgen", engine, other}
         for name in sorted(libraries):

@@ -9,7 +9,8 @@ The roles: ``recipe`` (every setting but the list of grasps), ``sensor``, ``tabl
 libraries that the bytes of a shard depend on), and of each object ``object/<name>`` (its
 ``object.yaml``), ``object/<name>/recipe`` (what the recipe says of it), ``object/<name>/mesh`` and
 ``object/<name>/collision``. Those of a dataset have ``grid/<k>`` besides: the grids from the first
-to the one with which the dataset grew the k-th time.
+to the one with which the dataset grew the k-th time; where a recipe asks for a device to draw the
+images (``optics.device``), those have ``device``.
 """
 
 import contextlib
@@ -36,13 +37,15 @@ OBJECT, GRID = "object/", "grid/"
 class Inputs:
     """The inputs of a result: ``sha256`` of each role's content, ``files`` where it was read.
 
-    ``engine`` is the physics engine, ``versions`` those of the libraries and of the engine.
+    ``engine`` is the physics engine, ``versions`` those of the libraries and of the engine;
+    ``device`` what drew the images, empty where no device was asked for.
     """
 
     sha256: Mapping[str, str] = field(default_factory=dict)
     files: Mapping[str, str] = field(default_factory=dict)
     engine: str = ""
     versions: Mapping[str, str] = field(default_factory=dict)
+    device: str = ""
 
     def of_objects(self, names: Collection[str], part: int = 0) -> dict[str, str]:
         """The hashes that grasps of these objects depend on, in that part of a dataset."""
@@ -52,6 +55,13 @@ class Inputs:
             if (not role.startswith(OBJECT) or role.split("/")[1] in names)
             and (not role.startswith(GRID) or role == f"{GRID}{part}")
         }
+
+    def drawn_by(self, device: str) -> "Inputs":
+        """The inputs of a dataset whose images that device draws."""
+        if not device:
+            return self
+        digest = sha256_of_content([device])
+        return replace(self, sha256={**self.sha256, "device": digest}, device=device)
 
     def with_grids(self, grids: Sequence[Any]) -> "Inputs":
         """The inputs of a dataset that has these grids, one after another."""

@@ -47,8 +47,9 @@ class ShardLine:
     ``counts`` counts ``success``, ``failure`` and ``not_executed``; ``objects`` does so by
     object. ``raw_bytes`` is the size of the arrays uncompressed. ``inputs`` names by role all that
     the shard depends on (see ``inputs.py``) and ``engine`` the physics engine, whose version stands
-    in ``versions``; ``validity`` counts the ``frames``, and the ``grasps`` at their moment, that do
-    not show the whole force, by the flags of the schema; ``part`` is 0, or counts how often the
+    in ``versions``; ``device`` drew the images, where the recipe asks for one; ``validity`` counts
+    the ``frames``, and the ``grasps`` at their moment, that do not show the whole force, by the
+    flags of the schema; ``part`` is 0, or counts how often the
     dataset had grown when the shard was added.
     """
 
@@ -75,6 +76,7 @@ class ShardLine:
     inputs: dict[str, str]
     engine: str
     part: NonNegativeInt
+    device: str = ""
 
     @model_validator(mode="after")
     def _checked(self) -> "ShardLine":
@@ -99,7 +101,8 @@ class ShardLine:
 
     def to_json(self) -> str:
         """One line, the same for the same shard."""
-        return json.dumps(asdict(self), sort_keys=True)
+        found = {name: value for name, value in asdict(self).items() if value or name != "device"}
+        return json.dumps(found, sort_keys=True)
 
 
 def parse_line(text: str, where: str, fix: str = FIX_MERGED) -> ShardLine:

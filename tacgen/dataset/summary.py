@@ -49,7 +49,16 @@ def summarize(root: Path | str) -> dict[str, Any]:
         for name, tally in line.objects.items():
             objects.setdefault(name, Counter(dict.fromkeys(OUTCOME.values(), 0))).update(tally)
     totals = {name: total(lines, name) for name in ("counts", "status", "failure_modes", "splits")}
-    same = ("recipe_sha256", "sensor", "pads", "frames", "calibration", "versions", "engine")
+    same = (
+        "recipe_sha256",
+        "sensor",
+        "pads",
+        "frames",
+        "calibration",
+        "versions",
+        "engine",
+        "device",
+    )
     inputs = {role: digest for line in lines for role, digest in line.inputs.items()}
     parts = Counter({line.part: 0 for line in lines})
     for line in lines:

@@ -81,6 +81,7 @@ def write_shard_file(
         versions=library_versions(spec.inputs.engine),
         inputs=spec.inputs.of_objects({name for *_, name in outcomes}, part),
         engine=spec.inputs.engine,
+        device=spec.inputs.device,
         part=part,
         validity=validity(small, layout),
         **tally(outcomes),

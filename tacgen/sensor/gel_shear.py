@@ -30,18 +30,22 @@ def _cell_sums(
 
 
 class GelShear:
-    """Lattice and field of a sensor's gel."""
+    """Lattice and field of a sensor's gel.
+
+    A cell is of ``pixels`` × ``pixels``, ``lattice_mm`` wide; the first begin ``before_px`` (rows,
+    columns) before the window.
+    """
 
     def __init__(self, sensor: Sensor) -> None:
-        self._pixels = max(1, round(LATTICE_MM / sensor.mm_per_px))
+        self.pixels = max(1, round(LATTICE_MM / sensor.mm_per_px))
         # As many cells beyond the window on either side, so that the lattice is about its middle.
-        self._shape = tuple(-(-n // self._pixels) for n in sensor.shape_px)
-        self._before_px = tuple(
-            (cells * self._pixels - n) // 2
+        self._shape = tuple(-(-n // self.pixels) for n in sensor.shape_px)
+        self.before_px = tuple(
+            (cells * self.pixels - n) // 2
             for cells, n in zip(self._shape, sensor.shape_px, strict=True)
         )
         self._window_px = sensor.shape_px
-        self._lattice_mm = self._pixels * sensor.mm_per_px
+        self.lattice_mm = self.pixels * sensor.mm_per_px
         self._markers_mm, self._pitch_mm = marker_grid_mm(sensor), marker_pitch_mm(sensor)
         self._decay_mm = DECAY_PER_GEL_DEPTH * sensor.gel_depth_mm
         self._fields: dict[float, ShearField] = {}
@@ -51,22 +55,22 @@ class GelShear:
         decay = self._decay_mm if decay_mm is None else decay_mm
         if decay not in self._fields:
             rows, columns = self._shape
-            size = columns * self._lattice_mm, rows * self._lattice_mm
+            size = columns * self.lattice_mm, rows * self.lattice_mm
             self._fields[decay] = ShearField(
-                *size, decay, self._lattice_mm, self._markers_mm, self._pitch_mm
+                *size, decay, self.lattice_mm, self._markers_mm, self._pitch_mm
             )
         return self._fields[decay]
 
     @property
     def cell_mm2(self) -> float:
         """Area of a cell of the lattice."""
-        return self._lattice_mm**2
+        return self.lattice_mm**2
 
     def pressure_share(self, depth_mm: NDArray[np.float32], window: Window) -> NDArray[np.float64]:
         """The part of the normal force on each cell of the lattice: that of the indentation."""
         sums = np.zeros(self._shape)
-        top, left = window[0] + self._before_px[0], window[2] + self._before_px[1]
-        _cell_sums(depth_mm, top, left, self._pixels, sums)
+        top, left = window[0] + self.before_px[0], window[2] + self.before_px[1]
+        _cell_sums(depth_mm, top, left, self.pixels, sums)
         total = weighted(sums, np.ones((*self._shape, 1)))[0]
         return np.asarray(sums / max(total, 1e-12))
 
@@ -99,7 +103,7 @@ class GelShear:
         about_mm = load.center_mm if is_part and load.center_mm else center_mm
         normal_n = 1.0 if load.force_n is None else load.force_n[2]
         friction = np.inf if load.force_n is None or normal_n <= 0 else load.friction
-        pressure = weight * (share * max(normal_n, 1e-9) / self._lattice_mm**2)
+        pressure = weight * (share * max(normal_n, 1e-9) / self.lattice_mm**2)
         torsion = share * load.turn_about_mm2(about_mm) / k_s
         return field.step(pressure, share * pulls, torsion, center_mm, friction, before)
 
@@ -128,9 +132,9 @@ class GelShear:
         counts to its border.
         """
         by_row, by_column = (
-            _overlaps(n, cells, self._pixels, before, window)
+            _overlaps(n, cells, self.pixels, before, window)
             for n, cells, before, window in zip(
-                shape, self._shape, self._before_px, self._window_px, strict=True
+                shape, self._shape, self.before_px, self._window_px, strict=True
             )
         )
         return _gathered(by_row, lattice, by_column)

@@ -329,7 +329,7 @@ class TactilePad:
             marker_radius_mm=sensor.markers.radius_mm if markers and sensor.markers else 0.0,
         )
         self._points_mm, self._shear = marker_grid_mm(sensor), GelShear(sensor)
-        self._markers_drawn = markers
+        self.casts_shadows, self.draws_markers = shadows, markers
         self._drawn: Imprint | None = None
 
     def press(
@@ -377,7 +377,7 @@ class TactilePad:
 
     def markers_mm(self, imprint: Imprint) -> NDArray[np.float64] | None:
         """Places (n, 2) of the marker dots, gel frame, mm; None where none are drawn."""
-        if not self._markers_drawn:
+        if not self.draws_markers:
             return None
         return self._points_mm + self.marker_motion_mm(imprint)
 

@@ -12,9 +12,12 @@ from tacgen.collection.bench import batch_figures
 from tacgen.contact import gap_map, solve_indentation
 from tacgen.contact.law import ContactLaw, FittedEffect
 from tacgen.core.errors import ContactError, SensorError, TableError
-from tacgen.core.records import Estimate
+from tacgen.core.records import ContactFrame, Estimate
 from tacgen.objects import load_object
 from tacgen.optics.table import save_table
+from tacgen.sensor.gel_response import gel_loads
+from tacgen.sensor.simulated import as_mesh
+from tacgen.sensor.tactile_pad import TactilePad
 from validation.batch.frames import compare, random_frames
 
 pytest.importorskip("warp")
@@ -79,6 +82,21 @@ def test_shear_moves_object_and_markers_as_of_one_sensor(name):
     assert difference.other == []
 
 
+def test_numbers_for_all_worlds_and_bytes_the_other_way_round(pair):
+    sensor, gaps = pair
+    rgb = sensor.render(gaps, [2.0, 2.0]).rgb.copy()
+    for force_n in (2, np.float32(2.0), np.array(2.0), np.array([2.0, 2.0], ">f8")):
+        assert np.array_equal(sensor.render(gaps.astype(">f4"), force_n).rgb, rgb)
+
+
+def test_poses_in_metres_are_doubted():
+    sensor = batch()
+    ball, poses = sensor.add_mesh(BALL), two_poses()
+    poses[0, 0, 3] = 0.004
+    with pytest.warns(UserWarning, match="poses: no object moves by 0.004 mm.*in metres"):
+        sensor.render_meshes([ball] * 2, poses, 1.0)
+
+
 def test_shear_remembers_until_it_is_reset():
     sensor = batch(markers=True)
     ball, poses = sensor.add_mesh(BALL), two_poses()
@@ -87,12 +105,42 @@ def test_shear_remembers_until_it_is_reset():
     pulled_mm = pulled_mm.markers_mm.copy()
     # D = k_s F_s, of markers 2 mm apart.
     assert (pulled_mm - rest_mm)[:, :, 0].sum(axis=1) == pytest.approx(1.0, rel=0.05)
-    sensor.reset([1])
+    sensor.reset(np.array([False, True]))
     after_mm = sensor.render_meshes([ball] * 2, poses, 3.0, time_s=1.0).markers_mm
     assert np.abs(after_mm[1] - rest_mm[1]).max() < 1e-5
     assert np.abs(after_mm[0] - rest_mm[0]).max() > 1e-3  # where it slipped, some stays
     # Without a clock every frame is a new press.
     assert np.abs(sensor.render_meshes([ball] * 2, poses, 3.0).markers_mm - rest_mm).max() < 1e-5
+
+
+def test_a_course_of_shear_is_that_of_one_pad():
+    """Pressed, pulled, turned, slid, left and pressed again: markers, poses and what remains."""
+    sensor, pads = batch(3, markers=True), []
+    description, law = sensor.description, sensor.law
+    ball = sensor.add_mesh(BALL)
+    for _ in range(3):
+        pads.append(TactilePad(description, sensor.table, markers=True))
+    solid, before = as_mesh(BALL), [None] * 3
+    rng = np.random.default_rng(2)
+    for step in range(8):
+        at_mm = np.array([[0.1 * step, 0.0], [4.0, 1.0], [60.0 if step == 4 else 9.0, -6.5]])
+        poses = np.stack([trimesh.transformations.translation_matrix((*at, 0)) for at in at_mm])
+        force_n = np.array([2.0 + step, 5.0, 1.0 if step != 5 else 0.0])
+        shear_n = rng.uniform(-0.6, 0.6, (3, 2)) * force_n[:, None]
+        shear_n[1] = (0.7 * step, 0.0)  # from step 6 on more than friction holds
+        turn = np.array([0.0, 3.0, -1.0]) * (step % 3 == 0)
+        out = sensor.render_meshes([ball] * 3, poses, force_n, shear_n, turn, time_s=0.1 * step)
+        assert out.slides.tolist() == (np.hypot(*shear_n.T) > 0.8 * force_n).tolist()
+        for k, pad in enumerate(pads):
+            frame = ContactFrame(0.1 * step, force_n[k], shear_n[k], turn[k], poses[k])
+            before[k] = pad.press(solid, poses[k], gel_loads(law, [frame])[0], before[k])
+            assert np.abs(out.markers_mm[k] - pad.markers_mm(before[k])).max() < 5e-5
+            assert out.indentation_mm[k] == pytest.approx(before[k].indentation_mm, abs=1e-6)
+            rgb = pad.image(before[k]).astype(int)
+            assert np.abs(rgb - out.rgb[k]).max() <= 1
+    assert out.slides[1]
+    assert before[0].shear is not None
+    assert not np.array_equal(before[0].shear.sticks, before[0].shear.pressure > 0)  # some slips
 
 
 @pytest.fixture(params=["cpu", "cuda"])
@@ -191,6 +239,7 @@ def test_nothing_and_everything(pair):
     assert np.array_equal(out.rgb[0], rest)
     assert out.indentation_mm[0] == 0
     assert not out.contact_mask[0].any()
+    assert not out.saturated[0]
     assert out.saturated[1]
     assert out.indentation_mm[1] == pytest.approx(sensor.description.gel_depth_mm, abs=1e-6)
     assert np.array_equal(sensor.render(gaps, [0.0, 0.0]).rgb[1], rest)
@@ -293,7 +342,7 @@ def with_nan(gaps):
         ),
         (lambda s, g: s.render(g.astype(str), [1, 1]), "gap_mm is of <U32; convert it to numbers"),
         (lambda s, g: s.render("gaps", [1, 1]), "gap_mm is a str; give a torch, JAX, Warp or Num"),
-        (lambda s, g: s.render(with_nan(g), [1, 1]), "world 1: the map holds NaN; use .inf where"),
+        (lambda s, g: s.render(with_nan(g), [1, 1]), "world 1: the map holds NaN or an infi"),
         (lambda s, g: s.render(g, [1.0, -1.0]), "world 1: force_n is negative or not finite; give"),
         (lambda s, g: s.render(g, [np.nan, 1.0]), "world 0: force_n is negative or not finite"),
         (lambda s, g: s.render(g, [1.0]), r"force_n has the shape \(1,\); give \(2,\)"),
@@ -303,7 +352,23 @@ def with_nan(gaps):
             "shear moves the object, which a gap map",
         ),
         (lambda s, g: s.render(g, [1, 1], [1, 0]), r"shear_n has the shape \(2,\); give \(2, 2\)"),
-        (lambda s, g: s.render_depth(with_nan(g)), "world 1: the map holds NaN"),
+        (lambda s, g: s.render(np.where(g > 1, g, -np.inf).astype("f4"), 1), "world 0: the map h"),
+        (
+            lambda s, g: s.render_depth(with_nan(0 * np.isinf(g).astype("f4"))),
+            "world 1: the map holds NaN",
+        ),
+        (lambda s, g: s.render_depth(g + np.float32(np.inf)), "world 0: the map holds NaN or an"),
+        (lambda s, g: s.render_meshes([0, 2**40], two_poses(), [1, 1]), "world 1: mesh_ids has an"),
+        (
+            lambda s, g: s.render_meshes([0, 0], two_poses(), 1, time_s=[0, np.nan]),
+            "time_s is not f",
+        ),
+        (
+            lambda s, g: s.render_meshes([0, 0], two_poses(), 1, [[np.inf, 0]] * 2),
+            "shear_n, turn or",
+        ),
+        (lambda s, g: s.reset([0.5]), "world_ids is of float64; give indices of worlds, or a mask"),
+        (lambda s, g: s.reset([True]), "world_ids is of bool; give indices"),
         (lambda s, g: s.render_meshes([0, 9], two_poses(), [1, 1]), "world 1: mesh_ids has an ind"),
         (lambda s, g: s.render_meshes([0, 0], two_poses(2.0), [1, 1]), "world 1: the pose is no r"),
         (lambda s, g: s.render_meshes([0.5, 0], two_poses(), [1, 1]), "mesh_ids: .* are no int64"),
@@ -353,7 +418,7 @@ def test_a_table_of_another_sensor(tmp_path):
     with pytest.raises(TableError):
         batch(table=tacgen.Sensor("digit").description.table)
     effects = {"vignetting": {"strength": 0.2}}
-    with pytest.raises(TableError, match="draws no optical effect but shadows, .* has vignetting"):
+    with pytest.raises(TableError, match="draws no optical effect but shadows; .* has vignetting"):
         batch(name=small_sensor(tmp_path, (60, 80), 0.1, effects=effects))
 
 
