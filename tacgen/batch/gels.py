@@ -30,7 +30,8 @@ class Gels:
         self, sensor: Sensor, law: ContactLaw, n: int, device: wp.Device, part: int
     ) -> None:
         self._sensor, self._law, self._n, self._device, self._part = sensor, law, n, device, part
-        self._courses = [GelCourse(law) for _ in range(n)] if law.effects else []
+        self.is_plain = not (law.effects or law.collision_margin_mm)  # a factor on the force
+        self._courses = [] if self.is_plain else [GelCourse(law) for _ in range(n)]
         self._last_s, self._is_new = np.full(n, -np.inf), np.ones(n, bool)
         at_rest = ContactFrame(0.0, 0.0, np.zeros(2), 0.0, np.eye(4))
         self._plain = gel_load(law, at_rest, 0.0, np.zeros(2))  # what all loads have in common
@@ -57,7 +58,7 @@ class Gels:
     def responses(
         self, force_n: FloatArray, shear_n: FloatArray, time_s: FloatArray | None
     ) -> tuple[FloatArray, FloatArray]:
-        """What each gel answers by a law that has effects: volume, or δ, (N,), and shear (N, 2).
+        """What each gel answers by a law that is not plain: volume, or δ, (N,), and shear (N, 2).
 
         The shear is over k_s: the force that it is the plain law's answer to.
         """

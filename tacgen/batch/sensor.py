@@ -272,14 +272,13 @@ class BatchSensor:
         drawn.release_markers()
         gels.at(times)
         drawn.ask(force, factor / per_unit)
-        answers = law.effects or law.collision_margin_mm
-        if not (answers or is_sheared):
+        if gels.is_plain and not is_sheared:
             return None
         if problem := drawn.problem():
             raise ContactError(problem)
         force_on_host: Any = force.numpy().astype(float)
         along_n: Any = pulls[:, :2]
-        if answers:
+        if not gels.is_plain:
             asked, along_n = gels.responses(force_on_host, along_n, times)
             drawn.ask(self._arrays.upload(asked, self._device), 1.0 / per_unit)
         if not is_sheared:
