@@ -99,3 +99,13 @@ def test_notebook(tmp_path):
     volume_mm3, _, force_n, stderr_n = map(float, re.findall(r"\d+\.\d+", said))
     assert volume_mm3 == pytest.approx(5.135 * 4, rel=0.01)
     assert force_n == pytest.approx(3.0, abs=max(0.2, 3 * stderr_n))
+
+
+@pytest.mark.slow
+def test_policy_that_regrasps(tmp_path):
+    pytest.importorskip("stable_baselines3")
+    said = run("regrasp_with_sb3.py", "256", cwd=tmp_path)
+    rewards = [float(one) for one in re.findall(r"reward (-?[\d.]+)", said)]
+    assert len(rewards) == 2
+    assert all(-0.3 <= reward <= 1 for reward in rewards)  # three regrasps and a drop, or none
+    assert (tmp_path / "regrasp_policy.zip").is_file()

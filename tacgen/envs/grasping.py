@@ -78,9 +78,9 @@ class TactileEnv(gymnasium.Env[Observation, Action]):
         self.render_mode, self._image_px = render_mode, image_px
         self.world = GraspWorld(recipe)
         self.low, self.high = _with_width(self.world.low, self.world.high)
-        self._planned = self.world.plan[0]
-        self._touch = self._place(self._planned)
-        self._ended = True
+        self._planned, self._ended = self.world.plan[0], True
+        self.world.place(self._planned)
+        self._touch = self.world.untouched()
         self.observation_space = self._spaces_of(self._observe())
 
     def reset(
@@ -94,9 +94,9 @@ class TactileEnv(gymnasium.Env[Observation, Action]):
         Raises ``LearningError`` or ``RecipeError`` if there is no such option, grasp or object.
         """
         super().reset(seed=seed)
-        self._planned = self._chosen(dict(options or {}))
-        self._touch, self._ended = self._place(self._planned), False
-        self._begin()
+        self._planned, self._ended = self._chosen(dict(options or {})), False
+        self.world.place(self._planned)
+        self._touch = self._first_touch()
         return self._observe(), self._info()
 
     def render(self) -> NDArray[np.uint8] | None:
@@ -115,11 +115,8 @@ class TactileEnv(gymnasium.Env[Observation, Action]):
         """End the physics."""
         self.world.close()
 
-    def _begin(self) -> None:
-        """What happens between the object's standing there and the first observation."""
-
-    def _place(self, planned: PlannedGrasp) -> Touch:
-        self.world.place(planned)
+    def _first_touch(self) -> Touch:
+        """What the first observation of an episode shows."""
         return self.world.untouched()
 
     def _chosen(self, options: dict[str, Any]) -> PlannedGrasp:
@@ -177,7 +174,7 @@ class TactileEnv(gymnasium.Env[Observation, Action]):
         moment, samples = trace.grasp_frame, self._touch.pads.values()
         flags = ("saturated", "outside_window")
         return {
-            "object": grasp.grasped.name,
+            "object": grasp.planned.config.object,
             "status": trace.status,
             "reason": trace.reason,
             "commanded": dict(zip(AXES, grasp_values(grasp.planned).tolist(), strict=True)),
@@ -312,9 +309,9 @@ class RegraspEnv(TactileEnv):
         self._touch = self.world.grasp(np.clip(values, self.low, self.high))
         return self._observe(), -self._cost, False, False, self._info()
 
-    def _begin(self) -> None:
+    def _first_touch(self) -> Touch:
         self._left = self._max_regrasps
-        self._touch = self.world.grasp(grasp_values(self._planned))
+        return self.world.grasp(grasp_values(self._planned))
 
     def _observe(self) -> Observation:
         return super()._observe() | {"regrasps_left": np.int64(self._left)}
