@@ -314,3 +314,9 @@ def test_what_a_recipe_asks_for_is_in_the_observation():
     env.close()
     bare = make(GRASP, Recipe.model_validate({"name": "b", "objects": ["golf_ball"]}))
     assert set(bare.observation_space) == {"left_rgb", "gripper"}
+
+
+def test_importing_tacgen_after_gymnasium_registers_them():
+    code = f"import gymnasium, tacgen; print(gymnasium.spec({GRASP!r}).id)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == f"{GRASP}\n"
