@@ -11,5 +11,5 @@ import lazy_loader
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
-if "gymnasium" in sys.modules:
+if sys.modules.get("gymnasium"):
     importlib.import_module("tacgen.envs")
