@@ -152,6 +152,17 @@ def device(request):
 
 
 @pytest.mark.slow
+def test_kernels_compile_for_a_gpu_that_is_not_here(tmp_path):
+    import warp as wp
+
+    from tacgen.batch import kernels, shear_kernels
+
+    for module in (kernels, shear_kernels):
+        wp.compile_aot_module(module, arch=90, module_dir=tmp_path, use_ptx=False)
+    assert len(list(tmp_path.glob("*.cubin"))) == 2
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("shadows", [False, True])
 @pytest.mark.parametrize("name", ["digit", "gelsight", "gelsight_mini", "virtual_gelsight"])
 def test_pictures_of_shipped_objects_are_those_of_one_sensor(name, shadows, device):
