@@ -81,7 +81,7 @@ def _torch_scatter() -> ModuleType:
 
 def measure_taxim(backend: str, device: str, n: int, *, shadows: bool) -> dict[str, Any]:
     """Frames a second of Taxim's GPU port: an image at a time, and all at once."""
-    if importlib.util.find_spec("torch_scatter") is None:
+    if "torch_scatter" not in sys.modules and not importlib.util.find_spec("torch_scatter"):
         sys.modules["torch_scatter"] = _torch_scatter()
     from taxim import Taxim
 
