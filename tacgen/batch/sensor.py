@@ -179,6 +179,7 @@ class BatchSensor:
         shape = (self.n, *self.description.shape_px)
         depth = arrays.as_warp(depth_mm, "depth_mm", shape, self._device, ("float32",))
         self._renderer.release_markers()
+        self._gels.slides.zero_()
         for start in self._renderer.parts():
             self._renderer.take_depth(depth, start)
             self._renderer.draw(self._noise_seed())

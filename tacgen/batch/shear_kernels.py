@@ -158,12 +158,12 @@ def press(p: Worlds, g: Gels):
     TACGEN_SYNC;
     for (int sweep = 0; sweep < g.most_sweeps; sweep++) {
         for (int k = 0; k < 13; k++) sums[k] = 0.0;
-    #if defined(__CUDA_ARCH__)
         for (int wave = 0; wave < columns + 2 * (rows - 1); wave++) {
             for (int r = lane; r < rows; r += lanes)
                 if (wave >= 2 * r && wave < 2 * r + columns) relax(r + 1, wave - 2 * r + 1);
             TACGEN_SYNC;
         }
+    #if defined(__CUDA_ARCH__)
         __shared__ double parts[13][64], totals[13];
         for (int k = 0; k < 13; k++) parts[k][lane] = sums[k];
         TACGEN_SYNC;
@@ -175,9 +175,6 @@ def press(p: Worlds, g: Gels):
         }
         TACGEN_SYNC;
         for (int k = 0; k < 13; k++) sums[k] = totals[k];
-    #else
-        for (int r = 1; r <= rows; r++)
-            for (int c = 1; c <= columns; c++) relax(r, c);
     #endif
         const double off[3] = {load[0] - sums[0], load[1] - sums[1], load[2] - sums[2]};
         if (size_of(off) <= enough && sums[11] <= g.tolerance * sums[12]) break;

@@ -15,7 +15,7 @@ from tacgen.core.errors import ContactError, SensorError, TableError
 from tacgen.core.records import ContactFrame, Estimate
 from tacgen.objects import load_object
 from tacgen.optics.table import save_table
-from tacgen.sensor.gel_response import gel_loads
+from tacgen.sensor.gel_response import GelCourse, gel_loads
 from tacgen.sensor.simulated import as_mesh
 from tacgen.sensor.tactile_pad import TactilePad
 from validation.batch.frames import compare, random_frames
@@ -139,8 +139,32 @@ def test_a_course_of_shear_is_that_of_one_pad():
             rgb = pad.image(before[k]).astype(int)
             assert np.abs(rgb - out.rgb[k]).max() <= 1
     assert out.slides[1]
+    assert not sensor.render_depth(out.depth_mm.copy()).slides.any()
     assert before[0].shear is not None
     assert not np.array_equal(before[0].shear.sticks, before[0].shear.pressure > 0)  # some slips
+
+
+def test_shear_by_a_law_with_effects():
+    creep = FittedEffect("creep", "shear", {"amount": Estimate(0.5), "tau_s": Estimate(1.0)})
+    law = replace(CREEP, effects=(*CREEP.effects, creep))
+    sensor, course = batch(1, contact=law, markers=True), GelCourse(law)
+    pad, ball, before = (
+        TactilePad(sensor.description, sensor.table, markers=True),
+        as_mesh(BALL),
+        None,
+    )
+    moved_mm = []
+    mesh_id = sensor.add_mesh(ball)
+    for step in range(3):
+        frame = ContactFrame(0.5 * step, 4.0, np.array([1.0, 0.4]), 2.0, np.eye(4))
+        out = sensor.render_meshes(
+            [mesh_id], np.eye(4)[None], 4.0, [[1.0, 0.4]], 2.0, time_s=0.5 * step
+        )
+        before = pad.press(ball, np.eye(4), course.load(frame, 0.0), before)
+        assert np.abs(out.markers_mm[0] - pad.markers_mm(before)).max() < 5e-5
+        assert out.indentation_mm[0] == pytest.approx(before.indentation_mm, abs=1e-6)
+        moved_mm.append(out.markers_mm[0, :, 0].sum(dtype=float))
+    assert moved_mm[2] > moved_mm[0] + 0.1  # it goes on
 
 
 @pytest.fixture(params=["cpu", "cuda"])
@@ -149,6 +173,17 @@ def device(request):
     if request.param == "cuda" and not importlib.import_module("warp").is_cuda_available():
         pytest.skip("there is no CUDA GPU")
     return request.param
+
+
+@pytest.mark.slow
+def test_kernels_compile_for_a_gpu_that_is_not_here(tmp_path):
+    import warp as wp
+
+    from tacgen.batch import kernels, shear_kernels
+
+    for module in (kernels, shear_kernels):
+        wp.compile_aot_module(module, arch=90, module_dir=tmp_path, use_ptx=False)
+    assert len(list(tmp_path.glob("*.cubin"))) == 2
 
 
 @pytest.mark.slow
