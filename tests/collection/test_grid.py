@@ -46,6 +46,16 @@ def test_an_axis_left_out_comes_from_the_object():
     ] + [("box", 2.0, 0.0, z) for z in (10.0, 20.0, 30.0)]
 
 
+def test_one_object_is_grasped_under_several_names():
+    heavy = {"name": "can", "dataset_name": "heavy_can", "added_mass_kg": 0.5}
+    planned = plan(objects=["can", heavy], grid={"y_mm": 0.0})
+    assert [(grasp.config.object, grasp.entry) for grasp in planned] == [
+        *[("can", 0)] * 3,
+        *[("heavy_can", 1)] * 3,
+    ]
+    assert len({grasp.seed for grasp in planned}) == 6
+
+
 def test_the_recipes_own_axis_goes_before_the_objects_and_the_entrys_before_both():
     planned = plan(
         objects=["can", {"name": "box", "grid": {"force_n": 7}}], grid={"force_n": [1, 2]}

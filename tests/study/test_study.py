@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tacgen.collection.grid import plan_recipe
 from tacgen.collection.recipe import Grid, load_recipe
 from tacgen.contact import ContactLaw, save_law
 from tacgen.core.errors import LearningError, RecipeError, TacgenError
@@ -94,6 +95,26 @@ def test_the_ablation_varies_size_friction_and_centre_of_mass():
         ("potted_meat_can", mu) for mu in (0.2, 0.45, 0.8)
     ]
     assert [entry.center_of_mass_offset_mm[1] for entry in objects[3:]] == [-30, 0, 30]
+
+
+def test_grasps_that_are_counted_differ_in_force():
+    """On a grid of 25 forces by 25 heights, most of which change nothing, 500 are 100."""
+    study = load_study("paper_ablation")
+    planned = plan_recipe(study.data_recipe(study.rows[3], quick=False))
+    trained = [grasp.config.force_n for grasp in planned if grasp.split == "train"]
+    assert len(trained) == 500
+    assert len(set(trained)) > 300
+
+
+def test_the_baselines_are_two_tables_and_tactos_law_with_and_without_its_margin():
+    study = load_study("paper_baselines")
+    recipes = [study.data_recipe(row, quick=False) for row in study.rows]
+    assert [recipe.sensor.name for recipe in recipes] == [
+        *("gelsight", "virtual_gelsight", "gelsight", "gelsight", "gelsight")
+    ]
+    assert [recipe.contact.collision_margin_mm for recipe in recipes] == [0, 0, 0, 0.1, 1]
+    # TACTO's 5 mm at 100 N.
+    assert [recipe.contact.k_depth_mm_per_n for recipe in recipes[2:]] == [0.05] * 3
 
 
 def test_rows_that_share_a_dataset_collect_it_once():
