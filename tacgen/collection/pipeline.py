@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.collection.cameras import camera_samples, cameras_of
 from tacgen.collection.confidence import label_confidence
 from tacgen.collection.gel import SETTLED_PRESS, contact_law, gel_patch, mounted_sensor
 from tacgen.collection.grid import Grids, PlannedGrasp, rng_of
@@ -130,9 +131,8 @@ class GraspPipeline:
         adds_noise = self.recipe.optics.noise is True
         noise = rng_of(planned.seed, _STREAM_NOISE) if adds_noise else None
         pads = {pad: self._pad_sample(grasp, pad, frame, noise) for pad in trace.frames if executed}
-        picture = None
+        picture, gripper = None, self.simulator.robot.gripper
         if self.recipe.dataset.scene_pictures:
-            gripper = self.simulator.robot.gripper
             picture = grasp_picture(grasp.grasped, grasp.config, trace, frame, gripper)
         return GraspSample(
             config=planned.config,
@@ -154,6 +154,7 @@ class GraspPipeline:
             outcome_time_s=trace.outcome_time_s,
             picture=picture,
             reason=trace.reason,
+            cameras=camera_samples(self.recipe, grasp.grasped, trace, gripper) if executed else {},
         )
 
     def _pad_sample(
@@ -269,4 +270,6 @@ def dataset_spec(
         marker_rest_mm=pad.marker_rest_mm if asked.markers else None,
         force_field=asked.force_field,
         picture_px=PICTURE_PX if recipe.dataset.scene_pictures else None,
+        cameras=cameras_of(recipe),
+        camera_frames=recipe.scene.frames == "all",
     )

@@ -22,7 +22,7 @@ from tacgen.core.records import (
     Status,
     frozen_array,
 )
-from tacgen.core.units import M_PER_MM, PUBLISHED_K_N_MM3_PER_N
+from tacgen.core.units import M_PER_MM, MM_PER_M, PUBLISHED_K_N_MM3_PER_N
 from tacgen.physics import outcome
 from tacgen.physics.approach import approach, grasp_target
 from tacgen.physics.contacts import (
@@ -359,6 +359,7 @@ class _Grasp:
         frame = frame_of_moment(self.frame_ends, moment)
         if len(windows) != 1:
             windows[frame : frame + 1] = [list(grasped)]
+        ends = [window[-1] for window in windows]
         return GraspTrace(
             config=self.config,
             status="executed",
@@ -367,7 +368,7 @@ class _Grasp:
             frames=outcome.frames_of(
                 windows, self.bodies, settings.sensing_pads, self.recorder.past()
             ),
-            object_pose=outcome.object_poses_mm([window[-1] for window in windows], self.bodies),
+            object_pose=outcome.object_poses_mm(ends, self.bodies),
             rise_mm=rise_mm,
             turn_rad=turn_rad,
             margin=slip_margin(capacity, self.obj.mass_kg, *outcome.first_slip(motion, settings)),
@@ -377,6 +378,8 @@ class _Grasp:
             lift_start_time_s=float(motion.time_s[0]),
             lift_end_time_s=float(motion.time_s[-1]),
             outcome_time_s=outcome.outcome_time_s(motion, settings, label),
+            gripper_pose=outcome.gripper_poses_mm(ends),
+            pad_distance_mm=frozen_array([end.pad_distance_m for end in ends]) * MM_PER_M,
         )
 
     def _not_executed(self, status: Status, reason: str) -> GraspTrace:
