@@ -41,8 +41,6 @@ from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N, k_n_doubt
 from tacgen.core.yaml_source import KeyPath, YamlSource, load_checked, problem_text
 from tacgen.dataset.manifest import MAX_SHARD_GRASPS
 from tacgen.dataset.schema import MAX_CAMERAS, MAX_CELLS
-from tacgen.objects import load_object
-from tacgen.objects.meshes import is_inside
 from tacgen.physics.robots import RobotSpec, gripper_file, load_robot
 from tacgen.physics.settings import (
     MAX_FORCE_N,
@@ -578,7 +576,13 @@ def _misplaced_cameras(recipe: Recipe, source: YamlSource) -> Iterable[str]:
         if name in names[:i]:
             text = f"= {name!r} is given twice; give each a name of its own"
             yield source.problem(("scene", "cameras", i, "name"), text)
-    for entry in recipe.objects if names else ():
+    if not names:
+        return
+    # Slow to import, and most recipes do not need them.
+    from tacgen.objects import load_object
+    from tacgen.objects.meshes import is_inside
+
+    for entry in recipe.objects:
         try:
             surface = load_object(entry.object_folder()).surface
         except ObjectError:  # which is a problem of its own
