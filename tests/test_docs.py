@@ -136,12 +136,14 @@ def test_the_site_builds_without_a_warning(tmp_path):
 def test_every_key_has_a_meaning_and_examples_that_the_model_takes(kind):
     model = hooks.KINDS[kind]
     part = {"column": "x_mm", "above": 1.0, "up_to": 2.0}
+    look_at = {"from_mm": [300, -400, 300], "to_mm": [0, 0, 90]}
     valid = {
         "name": "x",
         "objects": [{"name": "cup"}],
         "rows": [{"name": "a"}],
         "indenters": [{"name": "ball", "radius_mm": 2.0}],
         "effects": [{"name": "creep", "strength": 1.0, "where": part}],
+        "scene": {"cameras": [{"name": "front", "look_at": look_at}]},
     }
     for key in hooks.keys_of(kind):
         assert key.meaning, key.path

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.collection.cameras import camera_samples, cameras_of
 from tacgen.collection.confidence import label_confidence
 from tacgen.collection.gel import SETTLED_PRESS, contact_law, gel_patch, mounted_sensor
 from tacgen.collection.grid import Grids, PlannedGrasp, rng_of
@@ -19,7 +20,7 @@ from tacgen.collection.scene import PICTURE_PX, grasp_picture
 from tacgen.contact.law import ContactLaw
 from tacgen.core.errors import TableError
 from tacgen.core.records import ContactFrame, GraspConfig, GraspObject, GraspTrace
-from tacgen.dataset import DatasetSpec, GraspSample, PadSample
+from tacgen.dataset import CameraSample, DatasetSpec, GraspSample, PadSample
 from tacgen.optics import load_table
 from tacgen.physics import FrameRequest, GraspSimulator
 from tacgen.physics.grasp import StartedGrasp, not_executed, start_grasp
@@ -182,6 +183,19 @@ class GraspPipeline:
         trace, gripper = grasp.trace, self.simulator.robot.gripper
         return grasp_picture(grasp.grasped, grasp.config, trace, trace.grasp_frame, gripper)
 
+    def camera_samples(self, grasp: SimulatedGrasp) -> dict[str, CameraSample]:
+        """What each camera of the recipe sees.
+
+        That is the object alone, as it stood before, where the grasp was not executed.
+        """
+        trace, gripper = grasp.trace, self.simulator.robot.gripper
+        if trace.status != "executed":
+            stands = np.tile(
+                (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0), (len(frame_times_s(self.recipe)), 1)
+            )
+            trace = replace(trace, object_pose=stands)
+        return camera_samples(self.recipe, grasp.grasped, trace, gripper)
+
     def sample(self, planned: PlannedGrasp) -> GraspSample:
         """Simulate one grasp and render the images of its pads."""
         grasp = self.simulate(planned)
@@ -210,6 +224,7 @@ class GraspPipeline:
             outcome_time_s=trace.outcome_time_s,
             picture=picture,
             reason=trace.reason,
+            cameras=self.camera_samples(grasp) if executed else {},
         )
 
     def pad_samples(self, grasp: SimulatedGrasp, attempt: int = 0) -> dict[str, PadSample]:
@@ -354,4 +369,6 @@ def dataset_spec(
         marker_rest_mm=pad.marker_rest_mm if asked.markers else None,
         force_field=asked.force_field,
         picture_px=PICTURE_PX if recipe.dataset.scene_pictures else None,
+        cameras=cameras_of(recipe),
+        camera_frames=recipe.scene.frames == "all",
     )

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import (
     AfterValidator,
     BeforeValidator,
@@ -21,6 +22,7 @@ from pydantic import (
     SerializerFunctionWrapHandler,
     ValidationError,
     model_serializer,
+    model_validator,
 )
 
 from tacgen.core.columns import unit_problems
@@ -29,6 +31,7 @@ from tacgen.core.errors import ObjectError, PhysicsError, RecipeError, TacgenErr
 from tacgen.core.files import sha256_of_content
 from tacgen.core.optional_dependencies import missing_extra
 from tacgen.core.progress import print_once
+from tacgen.core.records import Camera, frozen_array
 from tacgen.core.resources import (
     contact_law_path,
     find_object_folder,
@@ -39,7 +42,7 @@ from tacgen.core.resources import (
 from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N, k_n_doubt
 from tacgen.core.yaml_source import KeyPath, YamlSource, load_checked, problem_text
 from tacgen.dataset.manifest import MAX_SHARD_GRASPS
-from tacgen.dataset.schema import MAX_CELLS
+from tacgen.dataset.schema import MAX_CAMERAS, MAX_CELLS
 from tacgen.physics.robots import RobotSpec, gripper_file, load_robot
 from tacgen.physics.settings import (
     MAX_FORCE_N,
@@ -224,6 +227,11 @@ class Split(Section):
     """Share of each object's grasps that are test grasps."""
 
 
+STRAIGHT = 1 - 1e-9  # of a camera's forward axis along z, from which it has no upper side there
+ROTATION_TOLERANCE = 1e-3  # of a rotation as people write it, with four digits
+_Side = Annotated[int, Field(ge=8, le=2048)]
+_Place = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+_Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 _Cells = Annotated[int, Field(ge=1, le=MAX_CELLS)]
 
 
@@ -259,6 +267,103 @@ class DatasetOptions(Section):
         if "depth" in found:
             found["depth"] = {"none": False, "grasp": True}.get(self.depth, self.depth)
         return found
+
+
+class LookAt(Section):
+    """A camera by what it looks at."""
+
+    from_mm: _Place
+    """Place of the camera in the world."""
+    to_mm: _Place
+    """What is in the middle of its picture, whose upper side is towards world z; of a camera that
+    looks straight down or up towards world y."""
+
+
+class SceneCamera(Section):
+    """A camera that looks at the scene."""
+
+    name: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,23}$")
+    """Name of the camera."""
+    size_px: tuple[_Side, _Side] = (96, 128)
+    """Height and width of its pictures."""
+    fov_deg: Annotated[float, Field(ge=1, le=150)] = 45.0
+    """Angle of view from the upper to the lower edge of the picture."""
+    look_at: LookAt | None = None
+    """Where it is, and what it looks at."""
+    pose: tuple[_Row, _Row, _Row, _Row] | None = None
+    """Or: the rows of its pose in the world, which takes camera coordinates (mm; x right, y down, z
+    forward) into the world's."""
+
+    @model_validator(mode="after")
+    def _is_somewhere(self) -> "SceneCamera":
+        if (self.pose is None) == (self.look_at is None):
+            msg = "is placed by one of `look_at` and `pose`; give one of them"
+            raise ValueError(msg)
+        t = self.camera().t_world_camera_mm
+        if (problem := _pose_problem(t)) and self.pose is not None:
+            msg = f"pose {problem}"
+            raise ValueError(msg)
+        if problem:
+            msg = "look_at.to_mm is where the camera is; give a point before it"
+            raise ValueError(msg)
+        if t[2, 3] <= 0:
+            msg = f"is {-t[2, 3]:g} mm below the table's top, z = 0; place it above"
+            raise ValueError(msg)
+        return self
+
+    def camera(self) -> Camera:
+        """The camera with its intrinsics and pose."""
+        height, width = self.size_px
+        # Rounded, for the last bit of a tangent depends on the processor.
+        focal_px = round(height / 2 / math.tan(math.radians(self.fov_deg) / 2), 6)
+        k_px = [[focal_px, 0, (width - 1) / 2], [0, focal_px, (height - 1) / 2], [0, 0, 1]]
+        given = np.array(self.pose) if self.look_at is None else _looking(self.look_at)
+        pose = given if _pose_problem(given) else _squared(given)
+        return Camera(self.name, height, width, frozen_array(k_px), frozen_array(pose))
+
+
+def _looking(how: LookAt) -> NDArray[np.float64]:
+    """The pose of a camera that looks at a point; its rotation is 0 where that is its place."""
+    pose, place_mm = np.eye(4), np.array(how.from_mm)
+    forward = np.array(how.to_mm) - place_mm
+    forward /= max(math.sqrt((forward**2).sum()), 1e-9)
+    up = (0.0, 1.0, 0.0) if abs(forward[2]) > STRAIGHT else (0.0, 0.0, 1.0)
+    right = np.cross(forward, up)
+    right /= max(math.sqrt((right**2).sum()), 1e-9)
+    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
+    pose[:3, 3] = place_mm
+    return pose
+
+
+def _squared(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The pose with its axes, forward first, made exactly square."""
+    x, _, z = pose[:3, :3].T
+    z = z / math.sqrt((z**2).sum())
+    x = x - (x * z).sum() * z
+    x = x / math.sqrt((x**2).sum())
+    found = pose.copy()
+    found[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+    return found
+
+
+def _pose_problem(pose: NDArray[np.float64]) -> str:
+    """What keeps a (4, 4) matrix from being a pose; empty if nothing does."""
+    rotation, last = pose[:3, :3], pose[3]
+    off = np.abs(rotation.T @ rotation - np.eye(3)).max()
+    if not np.array_equal(last, (0, 0, 0, 1)):
+        return f"has the last row {last.tolist()}, not [0, 0, 0, 1]"
+    if off > ROTATION_TOLERANCE:
+        return f"is no rotation: its axes are off unit length and right angles by {off:.2g}"
+    return "" if np.linalg.det(rotation) > 0 else "is a reflection: turn one of its axes round"
+
+
+class Scene(Section):
+    """Cameras that look at the scene, beside the tactile pads."""
+
+    cameras: Annotated[tuple[SceneCamera, ...], Field(max_length=MAX_CAMERAS)] = ()
+    """Each camera gives colours, depth and segments."""
+    frames: Literal["grasp", "all"] = "grasp"
+    """Pictures of the moment of ``grasp``, or of ``all`` frames of the sequence."""
 
 
 class Randomize(Section):
@@ -372,6 +477,8 @@ class Recipe(Section):
     """Tactile images of a grasp."""
     dataset: DatasetOptions = DatasetOptions()
     """Content of the shards."""
+    scene: Scene = Scene()
+    """Cameras beside the tactile pads."""
     randomize: Randomize = Randomize()
     """Domain randomisation."""
     uncertainty: Uncertainty = Uncertainty()
@@ -406,6 +513,8 @@ class Recipe(Section):
         found = self.model_dump(
             mode="json", exclude={"physics": _BELONGS_TO_ROBOT, "cluster": True}
         )
+        if not self.scene.cameras:  # as it was written before there were cameras: the same hash
+            del found["scene"]
         if beside is not None:
             _name_from(beside, found["contact"], "file", self.contact, contact_law_path)
             _name_from(beside, found["robot"], "name", self.robot, gripper_file)
@@ -451,7 +560,8 @@ def load_recipe(name: str | Path) -> Recipe:
     >>> recipe.name, recipe.sensor.name
     ('quickstart', 'gelsight')
     """
-    recipe = load_checked(Recipe, name, _unknown_names, _repeated_objects, _values_out_of_range)
+    checks = (_unknown_names, _repeated_objects, _values_out_of_range, _misplaced_cameras)
+    recipe = load_checked(Recipe, name, *checks)
     robot = recipe.robot.model_copy(update={"max_force_n": recipe.robot.largest_force_n})
     return recipe.model_copy(update={"robot": robot})
 
@@ -499,6 +609,30 @@ def _unknown_names(recipe: Recipe, source: YamlSource) -> Iterable[str]:
 def _repeated_objects(recipe: Recipe, source: YamlSource) -> Iterable[str]:
     names = [entry.object_name for entry in recipe.objects]
     return source.repeated("objects", names, "keep one, or give it another `dataset_name`")
+
+
+def _misplaced_cameras(recipe: Recipe, source: YamlSource) -> Iterable[str]:
+    names = [one.name for one in recipe.scene.cameras]
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            text = f"= {name!r} is given twice; give each a name of its own"
+            yield source.problem(("scene", "cameras", i, "name"), text)
+    if not names:
+        return
+    # Slow to import, and most recipes do not need them.
+    from tacgen.objects import load_object
+    from tacgen.objects.meshes import is_inside
+
+    for entry in recipe.objects:
+        try:
+            surface = load_object(entry.object_folder()).surface
+        except ObjectError:  # which is a problem of its own
+            continue
+        for i, one in enumerate(recipe.scene.cameras):
+            place_mm = one.camera().t_world_camera_mm[:3, 3] / entry.scale
+            if is_inside(surface, place_mm):
+                text = f"is inside {entry.object_name!r} as it stands; place it outside"
+                yield source.problem(("scene", "cameras", i), text)
 
 
 def _values_out_of_range(recipe: Recipe, source: YamlSource) -> Iterable[str]:

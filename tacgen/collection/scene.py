@@ -20,7 +20,7 @@ from tacgen.physics.gripper import GripperSpec
 PICTURE_PX = (150, 200)  # (height, width); enough to recognise the grasp in a gallery
 VIEW = {"azimuth_deg": -58.0, "elevation_deg": 22.0}
 
-PAD_COLOR, FINGER_COLOR, _TABLE_COLOR = (236, 238, 240), (92, 100, 112), (222, 214, 200)
+PAD_COLOR, FINGER_COLOR, TABLE_COLOR = (236, 238, 240), (92, 100, 112), (222, 214, 200)
 _FINGER_TOP_MM = 65.5  # above the pads' centre, where fingers are cut off: objects fill the picture
 _TABLE_RADIUS_MM = 78.0
 
@@ -67,14 +67,14 @@ def _openings_mm(
 def _table() -> Part:
     disc = Manifold.cylinder(3.0, _TABLE_RADIUS_MM, circular_segments=48, center=True)
     mesh = from_manifold(disc.translate((0.0, 0.0, -1.6)))
-    return mesh.vertices_mm, mesh.faces, _TABLE_COLOR
+    return mesh.vertices_mm, mesh.faces, TABLE_COLOR
 
 
 def _gripper(
     gripper: GripperSpec, config: GraspConfig, openings_mm: Mapping[str, float]
 ) -> list[Part]:
     """Two fingers with their pads."""
-    turn, (corners, faces) = frames.rotation_about_z(config.yaw_rad), _unit_box()
+    turn, (corners, faces) = frames.rotation_about_z(config.yaw_rad), unit_box()
     center_mm = np.array([config.x_mm, config.y_mm, config.z_mm])
     parts = []
     for pad, opening_mm in openings_mm.items():
@@ -104,7 +104,8 @@ def finger_boxes(
 
 
 @lru_cache(maxsize=1)
-def _unit_box() -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def unit_box() -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Vertices and faces of a cube of side 1 about the origin."""
     box = from_manifold(Manifold.cube((1.0, 1.0, 1.0), center=True))
     return box.vertices_mm, box.faces
 

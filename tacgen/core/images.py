@@ -18,7 +18,7 @@ GAP_PX = 4  # white between images of a strip
 
 
 def encode_png(rgb: Image) -> bytes:
-    """The bytes of an RGB uint8 image (H, W, 3) as PNG."""
+    """The bytes of an RGB uint8 image (H, W, 3), or of one of numbers (H, W), as PNG."""
     return _encoded(rgb, ".png", [])
 
 
@@ -63,7 +63,8 @@ def evenly(count: int, most: int) -> list[int]:
 
 
 def _encoded(rgb: Image, kind: str, options: list[int]) -> bytes:
-    done, encoded = cv2.imencode(kind, np.ascontiguousarray(rgb[..., ::-1]), options)
+    bgr = rgb[..., ::-1] if rgb.ndim == 3 else rgb
+    done, encoded = cv2.imencode(kind, np.ascontiguousarray(bgr), options)
     if not done:
         msg = f"an image of shape {rgb.shape} and type {rgb.dtype} cannot be encoded as {kind[1:]}"
         raise TacgenError(msg)

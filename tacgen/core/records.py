@@ -139,6 +139,27 @@ class Sensor:
 
 
 @dataclass(frozen=True, slots=True)
+class Camera:
+    """A pinhole camera that looks at the scene of a grasp.
+
+    Its axes are OpenCV's: x right, y down, z forward; the middle of the first pixel is at (0, 0).
+    ``k_px`` (3, 3) are the intrinsics, ``t_world_camera_mm`` (4, 4) takes a point from the camera's
+    axes into the world's.
+    """
+
+    name: str
+    height_px: int
+    width_px: int
+    k_px: NDArray[np.float64]
+    t_world_camera_mm: NDArray[np.float64]
+
+    @property
+    def shape_px(self) -> tuple[int, int]:
+        """(height, width) of its images."""
+        return self.height_px, self.width_px
+
+
+@dataclass(frozen=True, slots=True)
 class ContactFrame:
     """What one pad feels at one time, and where the object then is.
 
@@ -204,12 +225,13 @@ class GraspTrace:
     """Everything the physics says about one grasp.
 
     ``frames`` maps each tactile pad (``left``, ``right``) to its T frames. ``object_pose`` (T, 7)
-    is x, y, z (mm) and the quaternion x, y, z, w of the object in the world at the frames' times.
+    is x, y, z (mm) and the quaternion x, y, z, w of the object in the world at the frames' times,
+    ``gripper_pose`` (T, 7) the same of the gripper, whose left and right gel are then
+    ``pad_distance_mm`` (T, 2) from its middle; None where the grasp was not executed.
     ``grasp_time_s`` is the moment of grasp, when the force was found steady, from closing on (NaN
     where the grasp was not executed), ``grasp_frame`` the frame that was taken at that moment.
     ``lift_start_time_s`` and ``lift_end_time_s`` are on the same clock, as is ``outcome_time_s``:
     when the object passed the limit that made the grasp fail, else the end of the lift.
-    ``opening_mm`` is the distance between the pads at the moment of grasp.
     """
 
     config: GraspConfig
@@ -227,7 +249,8 @@ class GraspTrace:
     lift_start_time_s: float = float("nan")
     lift_end_time_s: float = float("nan")
     outcome_time_s: float = float("nan")
-    opening_mm: float = float("nan")
+    gripper_pose: NDArray[np.float64] | None = None
+    pad_distance_mm: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,13 @@
 
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.reader import Dataset
-from tacgen.dataset.samples import DatasetSpec, GraspSample, PadSample
+from tacgen.dataset.samples import CameraSample, DatasetSpec, GraspSample, PadSample
 
-__all__ = ["Dataset", "DatasetFolder", "DatasetSpec", "GraspSample", "PadSample"]
+__all__ = [
+    "CameraSample",
+    "Dataset",
+    "DatasetFolder",
+    "DatasetSpec",
+    "GraspSample",
+    "PadSample",
+]

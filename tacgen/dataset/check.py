@@ -13,7 +13,7 @@ from tacgen.core.errors import DatasetError
 from tacgen.core.files import sha256_of
 from tacgen.core.records import LABEL_FAILURE, LABEL_NOT_EXECUTED, LABEL_SUCCESS
 from tacgen.dataset.manifest import ShardLine
-from tacgen.dataset.schema import FAILURE_MODES, FLAG_FIELDS, SPLITS, STATUSES, Layout
+from tacgen.dataset.schema import FAILURE_MODES, FLAG_FIELDS, SEGMENTS, SPLITS, STATUSES, Layout
 from tacgen.dataset.shard import Shard, broken_as_error, is_image_sound, open_shard, read_image
 
 OUTCOME = {LABEL_SUCCESS: "success", LABEL_FAILURE: "failure", LABEL_NOT_EXECUTED: "not_executed"}
@@ -143,6 +143,8 @@ def _image_problems(shard: Shard, executed: NDArray[np.int64], decode: bool) -> 
                     yield f"{array.path}: the image {place} is missing"
             elif decode:
                 image = read_image(dataset, place)
+                if array.path.endswith("/segmentation") and image.max() >= len(SEGMENTS):
+                    yield f"{array.path}: the image {place} has a number without a name"
                 if image.dtype.kind == "f" and not np.isfinite(image).all():
                     yield f"{array.path}: the image {place} is not finite"
 

@@ -6,7 +6,7 @@ taken evenly, and the page says so.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -42,12 +42,13 @@ OUTCOMES = {
 @dataclass(frozen=True, slots=True)
 class Thumbnails:
     """What the page shows of a grasp's images, as data URIs: the scene, and of each pad the image
-    of the moment of grasp and a strip of images over time.
+    of the moment of grasp and a strip of images over time; of each camera that moment.
     """
 
     picture: str
     images: list[str]
     strips: list[str]
+    views: list[str] = field(default_factory=list)
 
 
 def thumbnails(sample: GraspSample, noise_at_load_grey: float = 0.0) -> Thumbnails:
@@ -59,7 +60,11 @@ def thumbnails(sample: GraspSample, noise_at_load_grey: float = 0.0) -> Thumbnai
 
     pads = [pad for pad in PADS if pad in sample.pads]
     n_frames = len(sample.pads[pads[0]].rgb) if pads else 0
-    return _thumbnails(sample.picture, pads, n_frames, sample.grasp_frame, seen)
+    views = [
+        one.rgb if one.rgb.ndim == 3 else one.rgb[sample.grasp_frame]
+        for one in sample.cameras.values()
+    ]
+    return _thumbnails(sample.picture, pads, n_frames, sample.grasp_frame, seen, views)
 
 
 def _thumbnails(
@@ -68,14 +73,16 @@ def _thumbnails(
     n_frames: int,
     moment: int,
     seen: Callable[[str, int], NDArray[np.uint8]],
+    views: Sequence[NDArray[np.uint8]],
 ) -> Thumbnails:
-    """Pictures of the scene, and of what each pad has ``seen`` in the frames that are shown."""
+    """Pictures of the scene, of what each pad has ``seen`` in the frames shown, and of cameras."""
     shown = evenly(n_frames, MAX_STRIP) if n_frames > 1 else []
     strips = [[seen(pad, k) for k in shown] for pad in pads] if shown else []
     return Thumbnails(
         "" if picture is None or not picture.any() else _jpeg(picture),
         [_jpeg(seen(pad, moment)) for pad in pads],
         [jpeg_uri(side_by_side(strip, STRIP_WIDTH_PX)) for strip in strips],
+        [_jpeg(view) for view in views],
     )
 
 
@@ -203,7 +210,9 @@ def _card(
     small = made.get(index)
     if small is None:
         pads, seen = dataset.pads if executed else (), partial(dataset.rgb, index)
-        small = _thumbnails(dataset.picture(index), pads, dataset.n_frames, moment, seen)
+        names = [f"camera/{name}/rgb" for name in dataset.cameras] if executed else []
+        views = [dataset.view(index, name, moment) for name in names]
+        small = _thumbnails(dataset.picture(index), pads, dataset.n_frames, moment, seen, views)
     return {
         **point,
         "executed": executed,
@@ -212,6 +221,7 @@ def _card(
         "picture": small.picture,
         "images": small.images,
         "strips": small.strips,
+        "views": small.views,
         "curves": _curves(forces_n, time_s, top_n) if executed and len(time_s) > 1 else {},
         "curve_top_n": top_n,
     }
@@ -233,10 +243,14 @@ def _jpeg(rgb: NDArray[np.uint8]) -> str:
     return jpeg_uri(no_wider(rgb, IMAGE_WIDTH_PX))
 
 
+def _images_of(card: Mapping[str, Any]) -> list[str]:
+    return [card["picture"], *card["images"], *card["strips"], *card["views"]]
+
+
 def _fit(cards: list[dict[str, Any]], card_text_bytes: int) -> list[dict[str, Any]]:
     """As many cards, taken evenly, as the page has room for."""
     room = MAX_PAGE_BYTES * 0.9
-    images = sum(len(one) for c in cards for one in (c["picture"], *c["images"], *c["strips"]))
+    images = sum(len(one) for c in cards for one in _images_of(c))
     total = images + len(cards) * card_text_bytes
     if total <= room:
         return cards

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from tacgen.core.errors import DatasetError
 from tacgen.core.images import evenly, jpeg_uri, no_wider
 from tacgen.dataset import overlays
+from tacgen.dataset.overlays import camera_panel
 from tacgen.dataset.reader import Dataset
-from tacgen.dataset.samples import GraspSample, PadSample
+from tacgen.dataset.samples import CameraSample, GraspSample, PadSample
 from tacgen.report.figures import new_figure
 from tacgen.report.page import figure_uri, write_page
 
@@ -41,6 +42,11 @@ def write_grasp_page(root: Path, index: int, path: Path) -> None:
         grasp=sample,
         outcome=outcome,
         player=_player(dataset, sample) if sample.pads else None,
+        stills=[
+            (f"camera {name}: colours, depth, segments", camera_panel(*_views(seen)))
+            for name, seen in sample.cameras.items()
+            if seen.rgb.ndim == 3
+        ],
         depths={pad: _depth(depth) for pad, depth in depths.items() if depth is not None},
     )
 
@@ -55,8 +61,12 @@ def _player(dataset: Dataset, sample: GraspSample) -> dict[str, Any]:
     gain = overlays.gain_of(max(pad.largest_mm for pad in pads), room_mm)
     largest_n = max(pad.largest_n for pad in pads)
     shown = evenly(len(times_s), MAX_FRAMES)
+    cameras = {name: seen for name, seen in sample.cameras.items() if seen.rgb.ndim == 4}
+    names = [f"{pad.name} pad" for pad in pads] + [f"camera {name}" for name in cameras]
+    dots = [pad.dots for pad in pads] + [""] * len(cameras)
     while True:
         drawn = [[pad.frame(k, times_s[k], gain, largest_n) for k in shown] for pad in pads]
+        drawn += [[_camera_frame(seen, k) for k in shown] for seen in cameras.values()]
         n_bytes = sum(len(text) for frames in drawn for one in frames for text in one.values())
         if n_bytes <= MAX_PLAYER_BYTES or len(shown) == 1:
             break
@@ -64,8 +74,8 @@ def _player(dataset: Dataset, sample: GraspSample) -> dict[str, Any]:
     moment = int(np.abs(np.array(shown) - sample.grasp_frame).argmin())
     return {
         "pads": [
-            {"name": pad.name, "dots": pad.dots, "frames": frames}
-            for pad, frames in zip(pads, drawn, strict=True)
+            {"name": name, "dots": dots_of, "frames": frames, "is_camera": name[:6] == "camera"}
+            for name, dots_of, frames in zip(names, dots, drawn, strict=True)
         ],
         "frames": [
             {
@@ -126,6 +136,16 @@ class _Overlays:
             paths = overlays.field_paths(self.field_n[k], largest_n, self._shape_px)
             found |= zip(("normal", "shear"), paths, strict=True)
         return found
+
+
+def _views(seen: CameraSample) -> tuple[Any, Any, Any]:
+    return seen.rgb, seen.depth_mm, seen.segmentation
+
+
+def _camera_frame(seen: CameraSample, k: int) -> dict[str, str]:
+    """Image and text of a camera's frame."""
+    panel = camera_panel(*(one[k] for one in _views(seen)))
+    return {"image": jpeg_uri(panel), "text": "colours, depth, segments"}
 
 
 def _forces(

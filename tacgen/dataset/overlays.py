@@ -9,9 +9,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.arrays import FloatArray
+from tacgen.core.images import side_by_side
 
 LEAST_SHARE = 0.01  # of the largest force of a cell, below which nothing is drawn
 HEAD_SHARE, MOST_HEAD_PX = 0.35, 6.0  # of an arrow: its head's share of the length, and the longest
+
+
+SEGMENT_COLORS = np.array(
+    [
+        *([255, 255, 255], [222, 214, 200], [214, 76, 60], [60, 110, 180], [120, 190, 235]),
+        *([60, 140, 90], [140, 215, 150], [90, 90, 100]),
+    ],
+    np.uint8,
+)
+"""Of each number of a segmentation."""
+
+
+def camera_panel(
+    rgb: NDArray[np.uint8], depth_mm: NDArray[np.float32], ids: NDArray[np.uint8]
+) -> NDArray[np.uint8]:
+    """What a camera sees at one time, side by side: colours, depth (near is dark), segments."""
+    is_there = depth_mm > 0
+    near_mm = float(depth_mm.min(where=is_there, initial=np.inf))
+    share = (depth_mm - near_mm) / max(float(depth_mm.max()) - near_mm, 1e-9)
+    grey = np.where(is_there, 40 + 190 * share, 255).astype(np.uint8)
+    return side_by_side([rgb, np.repeat(grey[..., None], 3, axis=-1), SEGMENT_COLORS[ids]])
 
 
 def gain_of(largest_mm: float, room_mm: float) -> float:

@@ -16,10 +16,16 @@ from numpy.typing import NDArray
 
 from tacgen.core.errors import DatasetError, RecipeError, require_known
 from tacgen.core.files import sha256_of
-from tacgen.core.records import GraspConfig, SlipMargin, Until
+from tacgen.core.records import Camera, GraspConfig, SlipMargin, Until
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.manifest import ShardLine, manifest_problems, read_manifest, total
-from tacgen.dataset.samples import GraspSample, PadSample, frame_times_s, rgb_at_load
+from tacgen.dataset.samples import (
+    CameraSample,
+    GraspSample,
+    PadSample,
+    frame_times_s,
+    rgb_at_load,
+)
 from tacgen.dataset.schema import COLUMNS, FRAME_FIELDS, TOUCH, TOUCH_FIELDS, Field, Layout
 from tacgen.dataset.shard import Shard, broken_as_error, open_shard, read_image
 
@@ -103,7 +109,8 @@ class Dataset:
 
         ``rgb`` (T, H, W, 3) uint8 of the first pad, where there are two also ``rgb_left`` and
         ``rgb_right``; so too ``depth_mm``, ``markers_mm`` and ``force_field_n`` where the dataset
-        has them (see ``touch``), and every entry of ``columns``: ``label`` (1, 0, or -1 where it
+        has them (see ``touch``), ``camera/<name>/rgb``, ``…/depth_mm`` and ``…/segmentation`` of
+        each camera (see ``view``), and every entry of ``columns``: ``label`` (1, 0, or -1 where it
         was not executed), ``object``, ``force_n``, ``x_mm`` …
         """
         indices = self.indices
@@ -116,7 +123,7 @@ class Dataset:
             if len(self.pads) > 1:
                 item |= {f"{name}_{pad}": self._of_pad(index, name, pad) for pad in self.pads[1:]}
                 item[f"{name}_{self.pads[0]}"] = item[name]
-        return item | self._row(index)
+        return item | {name: self.view(index, name) for name in self.views} | self._row(index)
 
     def torch(
         self,
@@ -132,8 +139,9 @@ class Dataset:
         moment of ``grasp``, (3, H, W), or all, (T, 3, H, W); float32 in [0, 1]. Of two pads both
         are given, stacked in front in the order of ``pads``: (2, 3, H, W) or (2, T, 3, H, W);
         ``pad`` chooses one. With ``channels``, some of ``rgb``, ``depth_mm``, ``markers_mm`` and
-        ``force_field_n``, a sample is a dictionary of them and of ``label``: ``rgb`` as above, the
-        others float32 as ``touch`` gives them. ``transform`` is applied to the images, or to the
+        ``force_field_n`` and of ``views``, a sample is a dictionary of them and of ``label``: a
+        camera's ``rgb`` as above, its segmentation int64, the others float32 as ``touch`` gives
+        them. ``transform`` is applied to the images, or to the
         dictionary.
         """
         from tacgen.dataset.torch_dataset import TorchGrasps
@@ -282,6 +290,42 @@ class Dataset:
             raise DatasetError(msg)
         return self._frames(index, field, layout.path(field, pad), frame)
 
+    @property
+    def cameras(self) -> Mapping[str, Camera]:
+        """The cameras that look at the scene, by name: size, intrinsics and pose of each."""
+        return self._shard(0).cameras
+
+    @property
+    def views(self) -> tuple[str, ...]:
+        """What the cameras give: ``camera/<name>/rgb``, ``…/depth_mm``, ``…/segmentation``."""
+        layout = self.layout
+        return tuple(f.known_as(name) for name in layout.cameras for f in layout.of_cameras)
+
+    def view(self, index: int, name: str, frame: int | None = None) -> NDArray[Any]:
+        """One of ``views`` of a grasp's frames, or of one ``frame``.
+
+        ``rgb`` (T, h, w, 3) uint8, ``depth_mm`` (T, h, w) float32 along the camera's axis (0: there
+        is nothing), ``segmentation`` (T, h, w) uint8, numbers of ``schema.SEGMENTS``; without the
+        first axis where only the moment of grasp is kept.
+
+        Raises ``DatasetError`` if the dataset does not keep it.
+        """
+        layout = self._layout(index)
+        named = {f.known_as(c): (f, c) for c in layout.cameras for f in layout.of_cameras}
+        if name not in named:
+            there = f"it has {', '.join(named)}" if named else "it has no cameras"
+            how = "collect it with `scene: {cameras: …}`"
+            msg = f"{self.root}: no {name!r} in this dataset; {there}; {how}"
+            raise DatasetError(msg)
+        field, camera = named[name]
+        if not field.is_of_frames and frame is not None:
+            if frame != int(self._read(index, "/grasp/grasp_frame")):
+                how = "collect it with `scene: {frames: all}`"
+                msg = f"{self.root}: has {name} of the moment of grasp alone; {how}"
+                raise DatasetError(msg)
+            frame = None
+        return self._frames(index, field, layout.path(field, camera), frame)
+
     def marker_rest_mm(self, pad: str | None = None) -> NDArray[np.float64]:
         """Places (M, 2) of the markers on a gel at rest, x and y of the gel frame.
 
@@ -310,11 +354,14 @@ class Dataset:
         """Everything there is about one grasp."""
         row = self._row(index)
         sample = {field.attribute: row[field.name] for field in COLUMNS}
+        layout = self._layout(index)
         pads: dict[str, dict[str, Any]] = {pad: {} for pad in self.pads}
-        for field, pad, path in self._layout(index).placed():
+        cameras: dict[str, dict[str, Any]] = {name: {} for name in layout.cameras}
+        for field, owner, path in layout.placed():
             if field.group != "grasp" and field.of != "spec" and not field.noisy:
                 value = self._frames(index, field, path) if field.image else self._read(index, path)
-                (pads[pad] if pad else sample)[field.attribute] = value
+                of = {"pad": pads, "camera": cameras}.get(field.of, {})
+                of.get(owner, sample)[field.attribute] = value
         parts = {
             part: {name.partition(".")[2]: sample.pop(name) for name in names}
             for part in ("config", "margin")
@@ -329,6 +376,7 @@ class Dataset:
                 for pad, values in pads.items()
                 if is_executed
             },
+            cameras={n: CameraSample(**values) for n, values in cameras.items() if is_executed},
             margin=None if np.isnan(limits).all() else SlipMargin(**parts["margin"]),
             **sample,
         )

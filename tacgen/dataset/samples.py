@@ -1,6 +1,7 @@
 """The frozen records that go into a dataset and come out of it: one grasp, and what all share."""
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from tacgen.core.records import (
     PADS,
+    Camera,
     FailureMode,
     GraspConfig,
     Sensor,
@@ -53,6 +55,19 @@ class PadSample:
 
 
 @dataclass(frozen=True, slots=True)
+class CameraSample:
+    """What a camera sees of one grasp, in T frames or, without that axis, at the moment of grasp.
+
+    ``rgb`` (T, h, w, 3) uint8; ``depth_mm`` (T, h, w) float32 along the camera's axis, 0 where
+    there is nothing; ``segmentation`` (T, h, w) uint8, numbers of ``schema.SEGMENTS``.
+    """
+
+    rgb: NDArray[np.uint8]
+    depth_mm: NDArray[np.float32]
+    segmentation: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
 class GraspSample:
     """One grasp of a dataset.
 
@@ -62,7 +77,7 @@ class GraspSample:
     closing on (NaN where unknown), ``grasp_frame`` the frame that was taken then.
     ``lift_start_time_s``, ``lift_end_time_s`` and ``outcome_time_s`` are as in ``GraspTrace``.
     ``label_confidence`` is the label's probability, NaN where unknown. ``picture`` (h, w, 3) uint8
-    shows the scene from outside.
+    shows the scene from outside, ``cameras`` maps each camera's name to what it sees.
     """
 
     config: GraspConfig
@@ -84,6 +99,7 @@ class GraspSample:
     lift_start_time_s: float = math.nan
     lift_end_time_s: float = math.nan
     outcome_time_s: float = math.nan
+    cameras: Mapping[str, CameraSample] = field(default_factory=dict)
 
 
 def frame_columns(pad: PadSample) -> dict[str, NDArray[np.floating]]:
@@ -151,8 +167,8 @@ class DatasetSpec:
     ``reference_rgb`` (H, W, 3) uint8 is the undeformed gel, ``depth`` whether ``depth_mm`` is kept
     of the moment of grasp, ``depth_of_frames`` of every frame. ``marker_rest_mm`` (M, 2) are the
     markers at rest where their motion is kept, ``force_field`` (rows, columns) the shape of the
-    force field if there is one, ``picture_px`` (height, width) that of the scene pictures. The
-    images are
+    force field if there is one, ``picture_px`` (height, width) that of the scene pictures.
+    ``cameras`` look at the scene, in every frame if ``camera_frames`` says so. The images are
     stored without the camera's noise where ``noise_at_load_grey`` is the standard deviation of what
     the reader adds.
     """
@@ -176,6 +192,18 @@ class DatasetSpec:
     grids: tuple[Any, ...] = ()
     parts: tuple[int, ...] = ()
     colors_from: str = ""
+    cameras: tuple[Camera, ...] = ()
+    camera_frames: bool = False
+
+    @property
+    def cameras_of_grasp(self) -> bool:
+        """Whether cameras see the moment of grasp alone."""
+        return bool(self.cameras) and not self.camera_frames
+
+    @property
+    def cameras_of_all(self) -> bool:
+        """Whether cameras see every frame."""
+        return bool(self.cameras) and self.camera_frames
 
     @property
     def until(self) -> Until:
@@ -193,24 +221,26 @@ class DatasetSpec:
         asked = {field.asked_by for field in FIELDS if field.asked_by}
         is_asked = {name: getattr(self, name) for name in asked}
         absent = frozenset(name for name, how in is_asked.items() if how is None or how is False)
-        return Layout(self.sensor.name, self.pads, absent)
+        return Layout(self.sensor.name, self.pads, absent, tuple(c.name for c in self.cameras))
 
     def sizes(self, n_grasps: int) -> dict[str, int]:
         """The lengths of the axes of a shard of so many grasps, by the letters of the schema."""
         rest_mm = () if self.marker_rest_mm is None else self.marker_rest_mm
         lengths = [n_grasps, len(self.time_s), *self.sensor.shape_px, len(rest_mm)]
         lengths += [*(self.picture_px or (0, 0)), *(self.force_field or (0, 0))]
-        return dict(zip((*"NTHWMhw", "rows", "columns"), lengths, strict=True))
+        found = dict(zip((*"NTHWMhw", "rows", "columns"), lengths, strict=True))
+        for one in self.cameras:
+            found |= {f"{one.name} height": one.height_px, f"{one.name} width": one.width_px}
+        return found
 
     @property
     def grasp_bytes(self) -> dict[str, int]:
         """What the images, and what is kept of the touch, take of a grasp before compression."""
-        sizes, layout = self.sizes(1), self.layout
-        return {
-            field.name: len(self.pads) * field.n_bytes(sizes)
-            for field in layout.fields
-            if field.of == "pad" and field.image
-        }
+        sizes, found = self.sizes(1), Counter[str]()
+        for one, owner, _ in self.layout.placed():
+            if one.of in ("pad", "camera") and one.image:
+                found[one.known_as(owner)] += one.n_bytes(sizes, owner)
+        return dict(found)
 
     @property
     def n_shards(self) -> int:

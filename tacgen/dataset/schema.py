@@ -6,7 +6,8 @@ entry here, and an attribute of the sample that it is taken from.
 A shard of N grasps with T frames and images of H × W pixels holds ``/grasp/…``, one array a column;
 ``/tactile/<sensor>/rgb``, ``reference``, and where the recipe asks for them ``depth_mm``,
 ``markers_mm`` and ``force_field_n``; ``/contact/…``; ``/object/pose``; ``/scene/picture`` of h × w
-pixels; and ``/time_s``.
+pixels; ``/camera/<name>/{rgb, depth_mm, segmentation}`` of each camera, with its intrinsics ``K``
+and pose ``T_world_camera`` as attributes; and ``/time_s``.
 
 With one tactile pad ``<sensor>`` is the sensor's name. With two, everything about a pad
 stands once for each: ``/tactile/<sensor>_left/…`` and ``/tactile/<sensor>_right/…``,
@@ -39,6 +40,18 @@ NOISE_AT_LOAD = "noise_at_load_grey"
 REST = "rest_mm"
 """Attribute of an array: where what it moves from is at rest."""
 
+CAMERAS = "cameras"
+"""Root attribute: the names of the cameras, with commas between; missing if there are none."""
+K, T_WORLD_CAMERA = "K", "T_world_camera"
+"""Attributes of a camera's arrays: intrinsics (3, 3) in pixels; its pose (4, 4), mm."""
+SEGMENT_NAMES = "names"
+"""Attribute of a segmentation: what 0, 1, 2, … are, with commas between."""
+SEGMENTS = (
+    *("background", "table", "object", "left finger", "left pad", "right finger", "right pad"),
+    "gripper",
+)
+"""What a camera's pixel may show, by its number in a segmentation."""
+MAX_CAMERAS = 8
 MAX_CELLS = 256
 """Of a force field along a side: about one a pixel of the smallest sensor."""
 
@@ -81,11 +94,11 @@ class Field:
 
     ``group`` and ``name`` say where it stands, ``axes`` are its shape (N grasps, T frames, letters
     for what a dataset decides, or fixed lengths). ``source`` is the attribute that it holds: of the
-    ``sample`` of a grasp, of the sample of a ``pad``, or of the ``spec`` of the dataset; where that
-    is None, NaN or zeros stand. ``asked_by`` is the attribute of the spec that asks for it, empty
-    for what is always there, and ``recipe`` how a recipe does. ``rest`` is the attribute of the
-    spec that holds its values (M, 2) on a gel at rest, which stand beside it as the attribute
-    ``rest_mm``. See ``ArraySpec`` for the others.
+    ``sample`` of a grasp, of the sample of a ``pad`` or a ``camera``, or of the ``spec`` of the
+    dataset; where that is None, NaN or zeros stand. ``asked_by`` is the attribute of the spec that
+    asks for it, empty for what is always there, and ``recipe`` how a recipe does. ``rest`` is the
+    attribute of the spec that holds its values (M, 2) on a gel at rest, which stand beside it as
+    the attribute ``rest_mm``. See ``ArraySpec`` for the others.
     """
 
     group: str
@@ -105,7 +118,7 @@ class Field:
 
     @property
     def of(self) -> str:
-        """Whose attribute it is: ``sample``, ``pad`` or ``spec``."""
+        """Whose attribute it is: ``sample``, ``pad``, ``camera`` or ``spec``."""
         return self.source.partition(".")[0]
 
     @property
@@ -131,9 +144,18 @@ class Field:
         stem, _, unit = self.name.rpartition("_")
         return tuple(f"{stem}_{axis}_{unit}" for axis in "xy")
 
-    def n_bytes(self, sizes: Mapping[str, int]) -> int:
+    def known_as(self, owner: str) -> str:
+        """What it is called in a dataset: ``depth_mm`` of any pad, ``camera/front/depth_mm``."""
+        return f"camera/{owner}/{self.name}" if self.of == "camera" else self.name
+
+    def axes_of(self, owner: str) -> tuple[str | int, ...]:
+        """The axes of the array of a pad or camera; each camera has a height and width."""
+        own = ("height", "width") if self.of == "camera" else ()
+        return tuple(f"{owner} {axis}" if axis in own else axis for axis in self.axes)
+
+    def n_bytes(self, sizes: Mapping[str, int], owner: str = "") -> int:
         """What it takes before compression, by the lengths of the axes."""
-        lengths = [sizes[n] if isinstance(n, str) else n for n in self.axes]
+        lengths = [sizes[n] if isinstance(n, str) else n for n in self.axes_of(owner)]
         return np.dtype(self.dtype).itemsize * math.prod(lengths)
 
     def value(self, owner: object) -> Any:
@@ -174,6 +196,30 @@ def _of_pad(name: str, axes: tuple[str | int, ...], unit: str, text: str, **how:
     """An array of each pad."""
     given = {"group": "contact", "dtype": "float64", "source": f"pad.{name}"} | how
     return Field(name=name, axes=axes, unit=unit, frame="gel", description=text, **given)
+
+
+def _of_camera(
+    name: str, dtype: str, unit: str, text: str, last: tuple[int, ...] = ()
+) -> tuple[Field, Field]:
+    """An array of each camera: of the moment of grasp, or of every frame."""
+    ways: tuple[tuple[str, tuple[str, ...]], ...] = (("grasp", ("N",)), ("all", ("N", "T")))
+    first, every = (
+        Field(
+            group="camera",
+            name=name,
+            dtype=dtype,
+            axes=(*lead, "height", "width", *last),
+            unit=unit,
+            frame="camera",
+            description=text,
+            source=f"camera.{name}",
+            asked_by=f"cameras_of_{way}",
+            recipe=f"scene: {{cameras: …, frames: {way}}}",
+            image=True,
+        )
+        for way, lead in ways
+    )
+    return first, every
 
 
 VALIDITY = {
@@ -259,6 +305,9 @@ FIELDS: tuple[Field, ...] = (
         *("the scene from outside", "sample.picture", "picture_px"),
         image=True,
     ),
+    *_of_camera("rgb", "uint8", "grey level", "what the camera sees, without noise", (3,)),
+    *_of_camera("depth_mm", "float32", "mm", "depth along the camera's axis; 0: nothing there"),
+    *_of_camera("segmentation", "uint8", "1", "what is there, by the attribute `names`"),
     Field("", "time_s", "float64", ("T",), "s", "", _TIME, "spec.time_s"),
 )
 """Every array of a shard, in the order in which they are written."""
@@ -284,12 +333,13 @@ STATE_FIELDS = tuple(
 class Layout:
     """The arrays of one dataset, and where each pad's stand.
 
-    It is without those that are ``asked_by`` what is ``absent``.
+    It is without those that are ``asked_by`` what is ``absent``; ``cameras`` are their names.
     """
 
     sensor: str
     pads: tuple[str, ...]
     absent: frozenset[str] = frozenset()
+    cameras: tuple[str, ...] = ()
 
     @property
     def fields(self) -> tuple[Field, ...]:
@@ -302,14 +352,19 @@ class Layout:
         """What it has of each grasp and pad, but the images."""
         return tuple(field for field in self.fields if field.of == "pad" and not field.noisy)
 
+    @property
+    def of_cameras(self) -> tuple[Field, ...]:
+        """What it has of each camera; nothing where there is none."""
+        return tuple(f for f in self.fields if f.of == "camera") if self.cameras else ()
+
     def find(self, name: str) -> Field | None:
         """That of ``of_pads`` of that name; None where the dataset has none."""
         return next((field for field in self.of_pads if field.name == name), None)
 
     def path(self, field: Field, pad: str = "") -> str:
-        """Where a field stands, of one of the pads where each has one."""
+        """Where a field stands, of one of the pads or cameras where each has one."""
         one = len(self.pads) == 1
-        owner = ""
+        owner = pad if field.of == "camera" else ""
         if field.is_of_pads and not (one and field.group == "contact"):
             owner = self.sensor if one else f"{self.sensor}_{pad}"
         return "/" + "/".join(part for part in (field.group, owner, field.name) if part)
@@ -319,17 +374,19 @@ class Layout:
         return self.path(next(f for f in FIELDS if (f.group, f.name) == ("tactile", name)), pad)
 
     def placed(self) -> Iterator[tuple[Field, str, str]]:
-        """(field, pad, path) of every array, in the order in which they are written."""
+        """(field, pad or camera, path) of every array, in the order in which they are written."""
         for _, group in groupby(self.fields, key=lambda field: field.group):
             fields = tuple(group)
-            for pad in self.pads if fields[0].is_of_pads else ("",):
+            owners = {"camera": self.cameras}.get(fields[0].group, ("",))
+            for pad in self.pads if fields[0].is_of_pads else owners:
                 yield from ((field, pad, self.path(field, pad)) for field in fields)
 
     def arrays(self) -> Iterator[ArraySpec]:
         """Every array, in the order in which it is written."""
-        for field, _, path in self.placed():
+        for field, owner, path in self.placed():
+            axes = field.axes_of(owner)
             yield ArraySpec(
-                *(path, field.dtype, field.axes, field.unit, field.frame, field.description),
+                *(path, field.dtype, axes, field.unit, field.frame, field.description),
                 nan=field.nan,
                 image=field.image,
                 noisy=field.noisy,

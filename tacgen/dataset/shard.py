@@ -7,7 +7,7 @@ checks use h5py's low-level interface, which takes a tenth of the time.
 
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -18,17 +18,21 @@ from numpy.typing import NDArray
 
 from tacgen.core.errors import DatasetError
 from tacgen.core.files import require_readable
-from tacgen.core.records import PADS, Until
+from tacgen.core.records import PADS, Camera, Until
 from tacgen.core.version import newer_problem
 from tacgen.dataset.compression import ALLOWED_FILTERS, ends_of, is_sound
 from tacgen.dataset.schema import (
+    CAMERAS,
     FIELDS,
     FORMAT_VERSION,
     FRAMES_UNTIL,
+    MAX_CAMERAS,
     MAX_CELLS,
     NOISE_AT_LOAD,
     REST,
+    T_WORLD_CAMERA,
     ArraySpec,
+    K,
     Layout,
 )
 
@@ -43,7 +47,8 @@ class Shard:
     """An open shard whose structure is what the schema says.
 
     ``arrays`` maps the paths of ``layout`` to what stands there, ``rest_mm`` (M, 2) those of arrays
-    that say how far something is from its place at rest to those places.
+    that say how far something is from its place at rest to those places, ``cameras`` the names of
+    cameras to what is known of them.
     """
 
     path: Path
@@ -56,6 +61,7 @@ class Shard:
     until: Until
     mm_per_px: float
     rest_mm: Mapping[str, NDArray[np.float64]]
+    cameras: Mapping[str, Camera]
 
     def read(self, path: str) -> NDArray[Any]:
         """The whole of a small array."""
@@ -149,6 +155,20 @@ def _checked(path: Path, file: h5py.File) -> Shard:
                 problems.append(f"{place} has no attribute {REST}: where each is at rest")
             else:
                 rest_mm[place] = stored
+    cameras: dict[str, Camera] = {}
+    for name in layout.cameras:
+        place = layout.path(layout.of_cameras[0], name)
+        if (array := found[place]) is None:
+            continue
+        k_px, pose = (
+            _attribute(array, K, "f", (3, 3)),
+            _attribute(array, T_WORLD_CAMERA, "f", (4, 4)),
+        )
+        if k_px is None or pose is None or not np.isfinite([k_px.sum(), pose.sum()]).all():
+            problems.append(f"{place} has no attributes {K} (3, 3) and {T_WORLD_CAMERA} (4, 4)")
+        else:
+            height, width = (sizes[f"{name} {axis}"] for axis in ("height", "width"))
+            cameras[name] = Camera(name, height, width, k_px, pose)
     if problems:
         _refuse(path, problems)
     scale = _attribute(file, "mm_per_px", "f", ())
@@ -156,7 +176,7 @@ def _checked(path: Path, file: h5py.File) -> Shard:
     arrays = {name: h5py.Dataset(ident) for name, ident in found.items()}
     recipe_sha256 = _text(file, "recipe_sha256")
     until: Until = "lift" if _text(file, FRAMES_UNTIL) == "lift" else "outcome"
-    about = (recipe_sha256, noise_grey, until, mm_per_px, rest_mm)
+    about = (recipe_sha256, noise_grey, until, mm_per_px, rest_mm, cameras)
     return Shard(path, file, layout, arrays, (start, stop), *about)
 
 
@@ -185,15 +205,22 @@ def _layout_of(path: Path, file: h5py.File) -> Layout:
         _refuse(path, [problem])
     elif not sensor or "/" in sensor or not set(names) <= set(PADS):
         _refuse(path, [f"sensor {sensor!r} with pads {pads!r} is not known"])
-    whole = Layout(sensor, names)
-    return Layout(sensor, names, frozenset(_absent(file, whole, names[0])))
+    cameras = tuple(name for name in _text(file, CAMERAS).split(",") if name)
+    if len(cameras) > MAX_CAMERAS or not all(map(str.isidentifier, cameras)):
+        _refuse(path, [f"cameras {cameras} are not names, or more than {MAX_CAMERAS}"])
+    whole = Layout(sensor, names, cameras=cameras)
+    return replace(whole, absent=frozenset(_absent(file, whole)))
 
 
-def _absent(file: h5py.File, whole: Layout, pad: str) -> Iterator[str]:
+def _absent(file: h5py.File, whole: Layout) -> Iterator[str]:
     """What the dataset was not asked for, by what is there; of two in one place the rank tells."""
     optional = [field for field in FIELDS if field.asked_by]
     for field in optional:
-        found = _array_at(file, whole.path(field, pad))
+        if field.of == "camera" and not whole.cameras:
+            yield field.asked_by
+            continue
+        owner = whole.cameras[0] if field.of == "camera" else whole.pads[0]
+        found = _array_at(file, whole.path(field, owner))
         ranks = {len(f.axes) for f in optional if (f.group, f.name) == (field.group, field.name)}
         if found is None or found.rank in ranks - {len(field.axes)}:
             yield field.asked_by

@@ -31,8 +31,8 @@ def summarize(root: Path | str) -> dict[str, Any]:
     frames of executed grasps and those whose images do not show the whole force. ``inputs`` are the
     hashes of all that the shards depend on, ``parts`` the grasps at first and those that each
     growth added. ``arrays`` are the images and what is kept of the touch: of which shape (without
-    the grasps), and the bytes a grasp takes of all pads, before compression (``raw_bytes``) and in
-    the first shard.
+    the grasps; those of a camera as ``camera/<name>/…``), and the bytes a grasp takes of all pads,
+    before compression (``raw_bytes``) and in the first shard.
 
     Raises ``DatasetError`` if there is no finished shard, or the manifest cannot be read.
     """
@@ -91,14 +91,14 @@ def _arrays(folder: DatasetFolder, line: ShardLine) -> dict[str, dict[str, Any]]
     n_stored = max(line.status.get("executed", 0), 1)
     found: dict[str, dict[str, Any]] = {}
     with closing(open_shard(path)) as shard, broken_as_error(path):
-        for field, _, place in shard.layout.placed():
-            if field.of == "pad" and field.image:
+        for field, owner, place in shard.layout.placed():
+            if field.of in ("pad", "camera") and field.image:
                 stored = shard.arrays[place]
-                shape, pads = stored.shape[1:], len(shard.layout.pads)
-                raw = pads * stored.dtype.itemsize * math.prod(shape)
+                shape = stored.shape[1:]
                 of_name = found.setdefault(
-                    field.name, {"shape": list(shape), "raw_bytes": raw, "bytes": 0}
+                    field.known_as(owner), {"shape": list(shape), "raw_bytes": 0, "bytes": 0}
                 )
+                of_name["raw_bytes"] += stored.dtype.itemsize * math.prod(shape)
                 of_name["bytes"] += round(stored.id.get_storage_size() / n_stored)
     return found
 

@@ -30,6 +30,13 @@ class Grasps(Protocol):
     ) -> NDArray[Any]:
         """What is kept of the touch beside them."""
 
+    @property
+    def views(self) -> tuple[str, ...]:
+        """What its cameras give."""
+
+    def view(self, index: int, name: str, frame: int | None = None) -> NDArray[Any]:
+        """One of them."""
+
 
 class TorchGrasps(TorchDataset[Any]):
     """(images, label) of each executed grasp; images float32 in [0, 1], channels first.
@@ -66,7 +73,7 @@ class TorchGrasps(TorchDataset[Any]):
         self.labels = torch.as_tensor(columns["label"][chosen].astype(np.int64))
         self._grasp_frame = columns["grasp_frame"][chosen]
         for name in self._channels or ():
-            require_known("channel", name, ("rgb", *TOUCH), DatasetError)
+            require_known("channel", name, ("rgb", *TOUCH, *dataset.views), DatasetError)
             self._values(0, name)  # which says what the dataset does not keep
 
     def __len__(self) -> int:
@@ -88,10 +95,16 @@ class TorchGrasps(TorchDataset[Any]):
         """One channel of the sample at a place, float32, of several pads stacked in front."""
         index = int(self.indices[place])
         frame = int(self._grasp_frame[place]) if self._frames == "grasp" else None
-        if name == "rgb":
+        if name in self._dataset.views:
+            each = [self._dataset.view(index, name, frame)]
+        elif name == "rgb":
             each = [self._dataset.rgb(index, pad, frame) for pad in self._pads]
-            each = [np.moveaxis(rgb, -1, -3) for rgb in each]
         else:
             each = [self._dataset.touch(index, name, pad, frame) for pad in self._pads]
+        kind = name.rpartition("/")[2]
+        if kind == "rgb":
+            each = [np.moveaxis(rgb, -1, -3) for rgb in each]
         held = torch.from_numpy(np.ascontiguousarray(each[0] if len(each) == 1 else np.stack(each)))
-        return held.float() / 255.0 if name == "rgb" else held.float()
+        if kind == "segmentation":
+            return held.long()
+        return held.float() / 255.0 if kind == "rgb" else held.float()

@@ -17,11 +17,16 @@ from tacgen.dataset.inputs import library_versions
 from tacgen.dataset.manifest import ShardLine, shard_file
 from tacgen.dataset.samples import DatasetSpec, GraspSample, shard_range
 from tacgen.dataset.schema import (
+    CAMERAS,
     FORMAT_VERSION,
     FRAMES_UNTIL,
     NOISE_AT_LOAD,
     REST,
+    SEGMENT_NAMES,
+    SEGMENTS,
+    T_WORLD_CAMERA,
     Field,
+    K,
     Layout,
 )
 
@@ -63,6 +68,7 @@ def write_shard_file(
                     file[place][...] = field.value(spec)
                 if field.rest:
                     file[place].attrs[REST] = np.asarray(getattr(spec, field.rest), np.float64)
+            _describe_cameras(file, spec)
         disk.raise_failure()
     raw = sum(np.dtype(a.dtype).itemsize * int(np.prod(a.resolve(sizes))) for a in layout.arrays())
     return ShardLine(
@@ -91,7 +97,8 @@ def write_shard_file(
 def _grasp_values(sample: GraspSample, layout: Layout) -> Iterator[tuple[Field, str, Any]]:
     """(field, path, values) of everything that one grasp contributes; what it lacks stays zero."""
     for field, pad, path in sorted(layout.placed(), key=lambda placed: placed[0].of == "pad"):
-        owner = {"sample": sample, "pad": sample.pads.get(pad)}.get(field.of)
+        owners = {"sample": sample, "pad": sample.pads.get(pad), "camera": sample.cameras.get(pad)}
+        owner = owners.get(field.of)
         if owner is None:
             continue
         values = field.value(owner)
@@ -122,6 +129,17 @@ def _create_arrays(
     return small
 
 
+def _describe_cameras(file: h5py.File, spec: DatasetSpec) -> None:
+    """Write the intrinsics and the pose of each camera beside what it sees."""
+    for camera in spec.cameras:
+        for field in spec.layout.of_cameras:
+            attributes = file[spec.layout.path(field, camera.name)].attrs
+            attributes[K] = np.asarray(camera.k_px, np.float64)
+            attributes[T_WORLD_CAMERA] = np.asarray(camera.t_world_camera_mm, np.float64)
+            if field.name == "segmentation":
+                attributes[SEGMENT_NAMES] = np.bytes_(",".join(SEGMENTS).encode())
+
+
 def _write_attributes(file: h5py.File, spec: DatasetSpec, indices: range) -> None:
     """Write what a reader needs before it reads anything else; text has a fixed length.
 
@@ -136,6 +154,8 @@ def _write_attributes(file: h5py.File, spec: DatasetSpec, indices: range) -> Non
         "how_to_read": HOW_TO_READ,
         FRAMES_UNTIL: spec.until,
     }
+    if spec.cameras:
+        texts[CAMERAS] = ",".join(camera.name for camera in spec.cameras)
     for name, text in texts.items():
         file.attrs[name] = np.bytes_(text.encode())
     file.attrs["format_version"] = np.int64(FORMAT_VERSION)

@@ -26,6 +26,8 @@ Action = NDArray[np.float32]
 
 OPTIONS = ("grasp", "object")
 VECTORS = ("markers_mm", "force_field_n")
+SEEN = ("rgb", "depth_mm")
+"""What observations hold of a camera; its segments are what a robot does not see."""
 FIXED_FORCE_RANGE, FIXED_RANGE = 0.01, np.array([0.1, 0.1, 0.1, 0.001])
 """How wide an axis of actions is to which the recipe gives one value: of the force as a share,
 below it; of the others in mm and rad, above. No grasp notices, but learners divide by it."""
@@ -141,9 +143,11 @@ class TactileEnv(gymnasium.Env[Observation, Action]):
                     found[f"{pad}_{name}"] = array.copy()
         if self.world.recipe.frames.mode == "single":
             found = {name: frames[0] for name, frames in found.items()}
-        opening_mm = self._touch.trace.opening_mm
-        if not math.isfinite(opening_mm):
-            opening_mm = self._stroke_mm
+        for camera, view in self._touch.cameras.items():
+            found |= {f"{camera}_{name}": getattr(view, name) for name in SEEN}
+        trace, opening_mm = self._touch.trace, self._stroke_mm
+        if trace.pad_distance_mm is not None:
+            opening_mm = float(trace.pad_distance_mm[trace.grasp_frame].sum())
         values = grasp_values(self._touch.grasp.planned)
         found["gripper"] = np.array([*values, opening_mm], np.float32)
         return found

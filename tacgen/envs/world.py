@@ -13,7 +13,7 @@ from tacgen.collection.recipe import Recipe, load_recipe
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import RecipeError, require_known
 from tacgen.core.records import GraspConfig, GraspTrace
-from tacgen.dataset import PadSample
+from tacgen.dataset import CameraSample, PadSample
 
 OBJECTS_KEPT = 32  # some 5 MB each; loading one takes as long as a grasp
 
@@ -22,11 +22,13 @@ OBJECTS_KEPT = 32  # some 5 MB each; loading one takes as long as a grasp
 class Touch:
     """What is known of a grasp: its physics, and what each sensing pad shows, by name.
 
-    The pads are at rest where the grasp was not executed, as ``status`` of the trace says.
+    The pads are at rest where the grasp was not executed, as ``status`` of the trace says;
+    ``cameras`` is what each camera of the recipe sees, by name.
     """
 
     grasp: SimulatedGrasp
     pads: Mapping[str, PadSample]
+    cameras: Mapping[str, CameraSample]
 
     @property
     def trace(self) -> GraspTrace:
@@ -110,8 +112,7 @@ class GraspWorld:
 
     def untouched(self) -> Touch:
         """What is known before the first grasp: gels at rest, and what was drawn."""
-        grasp = self.pipeline.at_rest(self._standing())
-        return Touch(grasp, self.pipeline.pad_samples(grasp))
+        return self._shown(self.pipeline.at_rest(self._standing()), 0)
 
     def close(self) -> None:
         """End the physics; a later grasp starts it again."""
@@ -140,7 +141,11 @@ class GraspWorld:
         return self._held
 
     def _touch(self, grasp: SimulatedGrasp) -> Touch:
-        return Touch(grasp, self.pipeline.pad_samples(grasp, self._attempt - 1))
+        return self._shown(grasp, self._attempt - 1)
+
+    def _shown(self, grasp: SimulatedGrasp, attempt: int) -> Touch:
+        pads = self.pipeline.pad_samples(grasp, attempt)
+        return Touch(grasp, pads, self.pipeline.camera_samples(grasp))
 
 
 def grasp_values(planned: PlannedGrasp) -> NDArray[np.float64]:

@@ -88,7 +88,8 @@ def load_model(path: Path) -> tuple[StabilityNet, ModelCard, NDArray[np.uint8] |
         msg = f"{path}: cannot be read as a model ({error}); train it again"
         raise LearningError(msg) from error
     reference = tensors.pop(_REFERENCE_KEY, None)
-    network = build_network(card.input.kind, touch=[one.size for one in card.input.touch])
+    sizes = [one.size for one in card.input.touch]
+    network = build_network(card.input.kind, touch=sizes, n_images=card.input.n_images)
     network.load(tensors, str(path))
     network.backbone.origin = card.weights
     network.temperature, network.prior_logit = card.temperature, card.prior_logit

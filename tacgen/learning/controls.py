@@ -129,6 +129,10 @@ class _ConstantImages(SimulatedGrasps):
         """No motion and no force."""
         return np.zeros_like(super().touch(row, frames, name))
 
+    def vision(self, row: int, frames: Sequence[int], camera: str) -> NDArray[np.uint8]:
+        """Black images."""
+        return np.zeros_like(super().vision(row, frames, camera))
+
 
 def _with_shuffled_labels(
     source: SimulatedGrasps, plan: ModelPlan, *, seed: int, shuffle: int

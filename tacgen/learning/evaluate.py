@@ -24,7 +24,7 @@ from tacgen.learning.grasps import (
     RealGraspImages,
     SimulatedGrasps,
 )
-from tacgen.learning.inputs import check_source, read_input, resized
+from tacgen.learning.inputs import InputSpec, camera_note, check_source, read_input, resized
 from tacgen.learning.intervals import standardised_gap
 from tacgen.learning.loader import Batches, DecodedInputs
 from tacgen.learning.predictions import Predictions, input_statistics, notes_on_images, predict
@@ -229,7 +229,11 @@ class _Test:
         statistics = input_statistics(batches.as_taken().in_order())
         for note in notes_on_images(statistics, card):
             self._note(f"{self.where}: {note}")
-        frames = [partial(read_input, self.source, int(row), card.input) for row in rows]
+        if card.input.vision is not None:
+            camera = self.source.camera(card.input.vision.camera)
+            if note := camera_note(card.input.vision, camera):
+                self._note(f"{self.where}: {note}")
+        frames = [partial(_first_images, self.source, int(row), card.input) for row in rows]
         table = self.source.table.take(rows)
         return Predictions(table, probabilities, frames, network.prior), card
 
@@ -312,6 +316,11 @@ def _distinct_texts(values: NDArray[np.float64], least: int = 4) -> list[str]:
     """Different numbers as different texts, with as few digits as that takes above ``least``."""
     texts = ([f"{value:.{digits}g}" for value in values] for digits in range(least, 18))
     return next(found for found in texts if len(set(found)) == len(values))
+
+
+def _first_images(source: GraspSource, row: int, spec: InputSpec) -> NDArray[np.uint8]:
+    """What a page shows of a grasp: the sensor's images, or the camera's where it is alone."""
+    return read_input(source, row, spec)[..., :3]
 
 
 def _add_gap(folder: RunFolder, result: dict[str, Any]) -> None:

@@ -79,7 +79,7 @@ class TrainingState:
         resumes = folder.checkpoint_path.is_file()
         weights = "none" if resumes else job.recipe.model.weights
         sizes = [one.size for one in job.spec.touch]
-        self.network = build_network(job.spec.kind, weights, sizes)
+        self.network = build_network(job.spec.kind, weights, sizes, job.spec.n_images)
         self.network.to(device)
         self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.average = AveragedModel(

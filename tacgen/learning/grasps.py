@@ -3,13 +3,13 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.errors import LearningError
-from tacgen.core.records import LABEL_NOT_EXECUTED, Until
+from tacgen.core.errors import LearningError, require_known
+from tacgen.core.records import LABEL_NOT_EXECUTED, Camera, Until
 from tacgen.core.safe_io import read_rgb
 from tacgen.dataset import Dataset
 from tacgen.dataset.real_grasps import BACKGROUND, FRAME_UNKNOWN, read_real_grasps
@@ -141,6 +141,27 @@ class SimulatedGrasps:
         index = int(self._indices[row])
         return np.stack([self.dataset.touch(index, name, self.pad, int(one)) for one in frames])
 
+    def camera(self, name: str | None = None) -> Camera:
+        """The camera of that name, or the first.
+
+        Raises ``LearningError`` if there is none.
+        """
+        cameras = self.dataset.cameras
+        if not cameras:
+            msg = f"{self.root}: has no cameras for vision; collect it with `scene: {{cameras: …}}`"
+            raise LearningError(msg)
+        name = name or next(iter(cameras))
+        require_known(f"{self.root}: the camera", name, tuple(cameras), LearningError)
+        return cameras[name]
+
+    def vision(self, row: int, frames: Sequence[int], camera: str) -> NDArray[np.uint8]:
+        """What a camera saw in some frames of one grasp, (len(frames), h, w, 3) RGB.
+
+        Raises ``DatasetError`` if the dataset does not keep them.
+        """
+        index, name = int(self._indices[row]), f"camera/{camera}/rgb"
+        return np.stack([self.dataset.view(index, name, int(one)) for one in frames])
+
     def frame_count(self, row: int) -> int:
         """How many images the grasp has."""
         return self.n_frames
@@ -206,6 +227,17 @@ class RealGraspImages:
         """What a folder of pictures does not have: raises ``LearningError``."""
         msg = f"{self.folder}: holds images alone, no {name}, which the network also needs"
         raise LearningError(msg)
+
+    def camera(self, name: str | None = None) -> NoReturn:
+        """What a folder of tactile pictures does not have: raises ``LearningError``."""
+        msg = (
+            f"{self.folder}: holds images of the sensor alone, none of the network's camera {name}"
+        )
+        raise LearningError(msg)
+
+    def vision(self, row: int, frames: Sequence[int], camera: str) -> NDArray[np.uint8]:
+        """As ``camera``."""
+        self.camera(camera)
 
     def frame_count(self, row: int) -> int:
         """How many images the grasp has."""

@@ -1,7 +1,7 @@
 """From tactile images to the network's input: choose, resize, subtract, normalise."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter, maximum_filter1d
 from sklearn.preprocessing import StandardScaler
 
 from tacgen.core.errors import LearningError
-from tacgen.core.records import Until
+from tacgen.core.records import Camera, Until
 from tacgen.dataset.real_grasps import FRAME_UNKNOWN
 from tacgen.learning.grasps import GraspSource, frames_until
 from tacgen.learning.training_recipe import Augmentation
@@ -47,6 +47,25 @@ class TouchInput:
 
 
 @dataclass(frozen=True, slots=True)
+class VisionInput:
+    """A camera whose images the network sees: its name, size, intrinsics and pose in training.
+
+    ``k_px`` and ``t_world_camera_mm`` are the matrices of ``Camera``, row after row.
+    """
+
+    camera: str
+    shape_px: tuple[int, int]
+    k_px: tuple[float, ...]
+    t_world_camera_mm: tuple[float, ...]
+
+    @classmethod
+    def of(cls, camera: Camera) -> "VisionInput":
+        """That of a dataset's camera."""
+        k_px, pose = camera.k_px.ravel().tolist(), camera.t_world_camera_mm.ravel().tolist()
+        return cls(camera.name, camera.shape_px, tuple(k_px), tuple(pose))
+
+
+@dataclass(frozen=True, slots=True)
 class InputSpec:
     """How images become input; kept with the model, so that evaluation does the same.
 
@@ -57,7 +76,9 @@ class InputSpec:
     refused. ``normalised`` removes each image's gain and each grasp's contrast: sensors differ in
     them. ``mean`` and ``std`` are those of the training images, by channel: the input is
     (image − mean) / std. ``until`` says whether a sequence ends before the lift or shows it,
-    ``touch`` what the network sees beside the image.
+    ``touch`` what the network sees beside the image. ``vision`` is the camera that it sees, whose
+    colours follow the sensor's, and are never subtracted from; without ``sees_touch`` the camera's
+    alone.
     """
 
     kind: Literal["single", "sequence"]
@@ -65,11 +86,18 @@ class InputSpec:
     n_frames: int
     image: Literal["difference", "change", "raw"]
     source_shape_px: tuple[int, int]
-    mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    std: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    mean: tuple[float, ...] = (0.0, 0.0, 0.0)
+    std: tuple[float, ...] = (1.0, 1.0, 1.0)
     normalised: bool = False
     until: Until = "outcome"
     touch: tuple[TouchInput, ...] = ()
+    vision: VisionInput | None = None
+    sees_touch: bool = True
+
+    @property
+    def n_images(self) -> int:
+        """How many images of a frame the network sees, of three colours each."""
+        return self.sees_touch + (self.vision is not None)
 
     @property
     def shows_until(self) -> Literal["grasp", "lift", "outcome"]:
@@ -99,8 +127,10 @@ def check_source(spec: InputSpec, source: GraspSource, rows: Iterable[int], wher
     Raises ``LearningError`` if they are of another size, or single images where a sequence is
     needed.
     """
-    problems = []
-    if source.shape_px != spec.source_shape_px:
+    problems: list[str] = []
+    if spec.vision is not None:
+        problems += _camera_problems(spec.vision, source.camera(spec.vision.camera), where)
+    if spec.sees_touch and source.shape_px != spec.source_shape_px:
         (height, width), (h, w) = source.shape_px, spec.source_shape_px
         problems.append(
             f"{where}: its images are {width}×{height} px, the model was trained on those of "
@@ -122,6 +152,27 @@ def check_source(spec: InputSpec, source: GraspSource, rows: Iterable[int], wher
                 f"trained on {_by(one.shape)}; collect it with the same sensor and force_field"
             )
     LearningError.raise_if(problems)
+
+
+def _camera_problems(trained: VisionInput, camera: Camera, where: str) -> Iterator[str]:
+    found = VisionInput.of(camera)
+    if found.shape_px != trained.shape_px:
+        (height, width), (h, w) = found.shape_px, trained.shape_px
+        yield (
+            f"{where}: its camera {found.camera!r} has {width}×{height} px, the model was trained "
+            f"on {w}×{h} px; collect it with the same scene"
+        )
+
+
+def camera_note(trained: VisionInput, camera: Camera) -> str:
+    """Whether a camera looks otherwise than in training; empty where it does not."""
+    found = VisionInput.of(camera)
+    is_same = np.allclose(found.k_px, trained.k_px, rtol=1e-6)
+    is_same &= np.allclose(found.t_world_camera_mm, trained.t_world_camera_mm, atol=1e-3)
+    other = (
+        f"the camera {found.camera!r} is not placed as in training, or has another angle of view"
+    )
+    return "" if is_same else f"{other}: the network has never seen the scene from there"
 
 
 def _by(shape: tuple[int, ...]) -> str:
@@ -169,7 +220,15 @@ def resized(images: NDArray[np.uint8], size_px: tuple[int, int]) -> NDArray[np.u
 
 
 def read_input(source: GraspSource, row: int, spec: InputSpec) -> NDArray[np.uint8]:
-    """The frames of one grasp at the network's size, (T, h, w, 3)."""
+    """The frames of one grasp at the network's size, (T, h, w, 3), or 6 with touch and vision."""
+    found = [_read_touch_images(source, row, spec)] if spec.sees_touch else []
+    if spec.vision is not None:
+        frames = source.vision(row, frames_of(source, row, spec), spec.vision.camera)
+        found.append(resized(frames, spec.size_px))
+    return found[0] if len(found) == 1 else np.concatenate(found, axis=-1)
+
+
+def _read_touch_images(source: GraspSource, row: int, spec: InputSpec) -> NDArray[np.uint8]:
     count, grasp_frame = source.frame_count(row), int(source.table.grasp_frame[row])
     if spec.kind == "single" and count > 1 and grasp_frame == FRAME_UNKNOWN:
         # How long the gripper closes differs from grasp to grasp: the images show when it has.
@@ -202,15 +261,17 @@ def pressed_frame(frames: NDArray[np.uint8], rest: NDArray[np.uint8]) -> int:
 def to_network(
     frames: NDArray[np.uint8], reference: NDArray[np.uint8] | None, spec: InputSpec
 ) -> NDArray[np.float32]:
-    """Frames (B, T, h, w, 3) as the network's input, float32 of the same shape.
+    """Frames (B, T, h, w, 3 or 6) as the network's input, float32 of the same shape.
 
-    ``reference`` (h, w, 3) is the undeformed gel at the same size; not needed for ``raw``. Where
+    ``reference`` (h, w, 3) is the undeformed gel at the same size; not needed for ``raw``. A
+    camera's colours, the last three, are normalised alone. Where
     the spec is ``normalised``, the median over the pixels of an image's ratio to it is the gain of
     a channel, and the largest root mean square difference of a grasp's frames is its contrast.
     Raises ``LearningError`` if the reference is missing.
     """
-    images = frames.astype(np.float32)
-    if spec.image != "raw":
+    everything = frames.astype(np.float32)
+    images = everything[..., : 3 * spec.sees_touch]  # a view: what is done to it is done to all
+    if spec.image != "raw" and spec.sees_touch:
         if reference is None:
             msg = "no image of the undeformed gel to subtract; add background.png"
             raise LearningError(msg)
@@ -224,22 +285,32 @@ def to_network(
             images /= contrast.max(axis=1, keepdims=True) + FAINT_GREY
     if spec.image == "change":
         images[:, 1:] -= images[:, :-1].copy()
-    images -= np.asarray(spec.mean, np.float32)
-    images /= np.asarray(spec.std, np.float32)
-    return images
+    everything -= np.asarray(spec.mean, np.float32)
+    everything /= np.asarray(spec.std, np.float32)
+    return everything
 
 
 def with_normalisation(
     spec: InputSpec, inputs: Iterable[NDArray[np.uint8]], reference: NDArray[np.uint8] | None
 ) -> InputSpec:
-    """The spec with the mean and spread of the ``inputs``, each (T, h, w, 3)."""
-    plain = replace(spec, mean=(0.0, 0.0, 0.0), std=(1.0, 1.0, 1.0))
+    """The spec with the mean and spread of the ``inputs``, each (T, h, w, 3 or 6)."""
+    n = 3 * spec.n_images
+    plain = replace(spec, mean=(0.0,) * n, std=(1.0,) * n)
     scaler = StandardScaler()
     for frames in inputs:
-        scaler.partial_fit(to_network(frames[None], reference, plain).reshape(-1, 3))
+        scaler.partial_fit(to_network(frames[None], reference, plain).reshape(-1, n))
     std = np.sqrt(np.maximum(scaler.var_, MIN_STD**2))
-    (r, g, b), (r_std, g_std, b_std) = scaler.mean_.tolist(), std.tolist()
-    return replace(spec, mean=(r, g, b), std=(r_std, g_std, b_std))
+    return replace(spec, mean=tuple(scaler.mean_.tolist()), std=tuple(std.tolist()))
+
+
+def at_rest(reference: NDArray[np.uint8] | None, spec: InputSpec) -> NDArray[np.uint8] | None:
+    """The undeformed gel (h, w, 3) with what a camera's colours move from, black, beside it.
+
+    None where no image of the gel is seen, or none is known.
+    """
+    if reference is None or not spec.sees_touch or spec.n_images == 1:
+        return reference if spec.sees_touch else None
+    return np.concatenate([reference, np.zeros_like(reference)], axis=-1)
 
 
 def augmented(
@@ -248,17 +319,17 @@ def augmented(
     options: Augmentation,
     rng: np.random.Generator,
 ) -> NDArray[np.uint8]:
-    """One grasp's frames (T, h, w, 3) as another camera might have seen it a little further on.
+    """One grasp's frames (T, h, w, n) as another camera might have seen it a little further on.
 
     All frames change alike. The imprint moves and changes its contrast and sharpness, the
     illumination of the gel at rest does not; what a shift brings in from outside repeats the edge.
-    Where the undeformed gel, ``reference`` (h, w, 3), is not known, the whole image moves.
+    Where the undeformed gel, ``reference`` (h, w, n), is not known, the whole image moves.
     """
-    height, width = frames.shape[1:3]
+    height, width, n = frames.shape[1:]
     shift = rng.uniform(-1, 1, 2) * options.shift_fraction * (height, width)
     dy, dx = (int(step) for step in np.rint(shift))
-    gain = (1 + options.gain_relative * rng.standard_normal(3)).astype(np.float32)
-    contrast = (1 + options.imprint_relative * rng.standard_normal(3)).astype(np.float32)
+    gain = (1 + options.gain_relative * rng.standard_normal((n,))).astype(np.float32)
+    contrast = (1 + options.imprint_relative * rng.standard_normal((n,))).astype(np.float32)
     blur_px = rng.uniform(0, options.blur_px)
     noise = options.noise_grey * rng.standard_normal(frames.shape, dtype=np.float32)
     ys = np.clip(np.arange(height) - dy, 0, height - 1)

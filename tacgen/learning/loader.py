@@ -12,6 +12,7 @@ from torch import Tensor
 from tacgen.learning.grasps import GraspSource
 from tacgen.learning.inputs import (
     InputSpec,
+    at_rest,
     augmented,
     read_input,
     read_touch,
@@ -26,7 +27,7 @@ _STREAM_ORDER, _STREAM_AUGMENT = 10, 11  # keep the random numbers of one seed a
 
 
 class DecodedInputs:
-    """The frames of some grasps at the network's size: item ``i`` is (T, h, w, 3) uint8.
+    """The frames of some grasps at the network's size: item ``i`` is (T, h, w, 3 or 6) uint8.
 
     All are decoded once and kept in memory if they fit into ``cache_mb``, with what the network
     sees beside the image, ``touch(i)``.
@@ -38,7 +39,7 @@ class DecodedInputs:
         self.rows, self.labels = rows, source.table.label[rows]
         self._source, self._spec = source, spec
         numbers = sum(one.size for one in spec.touch)
-        n_bytes = spec.size_px[0] * spec.size_px[1] * 3 + 4 * numbers
+        n_bytes = spec.size_px[0] * spec.size_px[1] * 3 * spec.n_images + 4 * numbers
         self._cache: list[NDArray[np.uint8]] | None = None
         self._touch: list[list[NDArray[np.float32]]] | None = None
         if len(rows) * spec.n_frames * n_bytes <= cache_mb << 20:
@@ -61,7 +62,7 @@ class DecodedInputs:
 
 
 class Batches:
-    """Batches of (input (B, T, 3, h, w), labels (B,), items) over decoded grasps.
+    """Batches of (input (B, T, 3 or 6, h, w), labels (B,), items) over decoded grasps.
 
     ``reference`` (H, W, 3) uint8 is the undeformed gel, at any size.
     """
@@ -111,7 +112,8 @@ class Batches:
             if augmentation is not None and augmentation.on:
                 rngs = [_rng(*key, _STREAM_AUGMENT, int(item)) for item in items]
                 pairs = zip(frames, rngs, strict=True)
-                frames = [augmented(f, self._reference, augmentation, rng) for f, rng in pairs]
+                rest = at_rest(self._reference, self._spec)
+                frames = [augmented(f, rest, augmentation, rng) for f, rng in pairs]
             touch = [self._inputs.touch(int(item)) for item in items] if self._spec.touch else []
             inputs = as_batch(frames, self._reference, self._spec, touch)
             yield inputs, torch.from_numpy(self._inputs.labels[items]), items
@@ -123,7 +125,7 @@ def as_batch(
     spec: InputSpec,
     touch: list[list[NDArray[np.float32]]],
 ) -> NetworkInput:
-    """(B, T, 3, h, w) float32, with the ``touch`` of each grasp where the network sees it.
+    """(B, T, 3 or 6, h, w) float32, with the ``touch`` of each grasp where the network sees it.
 
     Shorter sequences repeat their last frame: all are padded to the network's length, so that no
     prediction depends on the other grasps of its batch.

@@ -25,7 +25,7 @@ TOUCH_HIDDEN, TOUCH_FEATURES = 128, 64  # of each channel beside the image
 
 
 class TouchedImages(NamedTuple):
-    """Images (B, T, 3, H, W) with what is known of the touch in each frame, (B, T, n)."""
+    """Images (B, T, 3 or 6, H, W) with what is known of the touch in each frame, (B, T, n)."""
 
     images: Tensor
     touch: Tensor
@@ -53,21 +53,26 @@ class StabilityNet(nn.Module):
         """Share of successes among the grasps to predict."""
         return float(expit(self.prior_logit))
 
-    def __init__(self, weights: str, touch: Sequence[int] = ()) -> None:
+    def __init__(self, weights: str, touch: Sequence[int] = (), n_images: int = 1) -> None:
         super().__init__()
         self.backbone: Backbone = make_backbone(weights)
+        # Of the camera's image where it is seen beside the sensor's.
+        self.second: Backbone | None = make_backbone(weights) if n_images == 2 else None
         self._touch_sizes = list(touch)
         self.branches = nn.ModuleList(_branch(size) for size in touch)
 
     @property
     def n_features(self) -> int:
         """How many features a frame has."""
-        return FEATURES + TOUCH_FEATURES * len(self.branches)
+        n_images = 1 if self.second is None else 2
+        return FEATURES * n_images + TOUCH_FEATURES * len(self.branches)
 
     def features(self, inputs: NetworkInput) -> Tensor:
-        """Features (B·T, n_features) of each frame: of its image, and beside it of its touch."""
-        images = inputs if isinstance(inputs, Tensor) else inputs.images
-        found: list[Tensor] = [self.backbone(images.flatten(0, 1))]
+        """Features (B·T, n_features) of each frame: of its images, and beside them of its touch."""
+        images = (inputs if isinstance(inputs, Tensor) else inputs.images).flatten(0, 1)
+        found: list[Tensor] = [self.backbone(images[:, :3])]
+        if self.second is not None:
+            found.append(self.second(images[:, 3:]))
         if not isinstance(inputs, Tensor):
             parts = torch.split(inputs.touch.flatten(0, 1), self._touch_sizes, dim=1)
             found += [branch(part) for branch, part in zip(self.branches, parts, strict=True)]
@@ -98,13 +103,14 @@ def _head(features: int, hidden: int) -> nn.Sequential:
 class SingleImageNet(StabilityNet):
     """One image (B, 1, 3, H, W) to two logits (B, 2): ResNet-18, then 512-256-2.
 
-    Channels beside the image have a branch of n-128-64 each, whose features join the 512.
+    Channels beside the image have a branch of n-128-64 each, whose features join the 512, as do
+    those of a second ResNet-18 where a camera is seen beside the sensor.
     """
 
     kind = "single"
 
-    def __init__(self, weights: str = "none", touch: Sequence[int] = ()) -> None:
-        super().__init__(weights, touch)
+    def __init__(self, weights: str = "none", touch: Sequence[int] = (), n_images: int = 1) -> None:
+        super().__init__(weights, touch, n_images)
         self.head = _head(self.n_features, SINGLE_HIDDEN)
 
     def forward(self, inputs: NetworkInput) -> Tensor:
@@ -122,8 +128,8 @@ class SequenceNet(StabilityNet):
 
     kind = "sequence"
 
-    def __init__(self, weights: str = "none", touch: Sequence[int] = ()) -> None:
-        super().__init__(weights, touch)
+    def __init__(self, weights: str = "none", touch: Sequence[int] = (), n_images: int = 1) -> None:
+        super().__init__(weights, touch, n_images)
         self.lstm = nn.LSTM(self.n_features, LSTM_UNITS, LSTM_LAYERS, batch_first=True)
         self.head = _head(LSTM_UNITS, SEQUENCE_HIDDEN)
 
@@ -137,19 +143,23 @@ class SequenceNet(StabilityNet):
         return logits
 
 
-def build_network(kind: str, weights: str = "none", touch: Sequence[int] = ()) -> StabilityNet:
+def build_network(
+    kind: str, weights: str = "none", touch: Sequence[int] = (), n_images: int = 1
+) -> StabilityNet:
     """The network of ``kind`` ``single`` or ``sequence``, its backbone from ``weights``.
 
-    ``touch`` are the numbers a frame of each channel beside the image.
+    ``touch`` are the numbers a frame of each channel beside the image, ``n_images`` is 2 where a
+    camera is seen beside the sensor.
     """
-    return {"single": SingleImageNet, "sequence": SequenceNet}[kind](weights, touch)
+    return {"single": SingleImageNet, "sequence": SequenceNet}[kind](weights, touch, n_images)
 
 
 def build_optimizer(network: StabilityNet, options: TrainingOptions) -> torch.optim.Adam:
     """Adam, with the backbone at its own fraction of the learning rate."""
     rate = options.learning_rate
-    backbone = list(network.backbone.parameters())
-    head = [p for name, p in network.named_parameters() if not name.startswith("backbone.")]
+    named = list(network.named_parameters())
+    backbone = [p for name, p in named if name.startswith(("backbone.", "second."))]
+    head = [p for name, p in named if not name.startswith(("backbone.", "second."))]
     return torch.optim.Adam(
         [
             {"params": backbone, "lr": rate * options.backbone_rate_factor},

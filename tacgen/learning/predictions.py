@@ -52,9 +52,12 @@ class Predictions:
 
 
 def input_statistics(batches: LabelledBatches) -> NDArray[np.float64]:
-    """Mean and standard deviation of each colour, (N, 6), over all pixels of each grasp's input."""
+    """Mean and standard deviation of each colour, (N, 6), over all pixels of each grasp's input.
+
+    Where the network sees a camera too, of the sensor's images.
+    """
     inputs = (one if isinstance(one, torch.Tensor) else one.images for one, _, _ in batches)
-    colors = [images.transpose(1, 2).flatten(2).double() for images in inputs]
+    colors = [images[:, :, :3].transpose(1, 2).flatten(2).double() for images in inputs]
     return torch.cat([torch.cat([one.mean(2), one.std(2)], dim=1) for one in colors]).numpy()
 
 

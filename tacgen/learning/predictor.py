@@ -16,7 +16,7 @@ from tacgen.core.progress import print_status
 from tacgen.core.safe_io import IMAGE_SUFFIXES, read_rgb
 from tacgen.learning.checkpoint import load_model
 from tacgen.learning.device import choose_device, exact_torch
-from tacgen.learning.inputs import ARRAYS, InputSpec, chosen_frames, resized
+from tacgen.learning.inputs import ARRAYS, VisionInput, chosen_frames, resized
 from tacgen.learning.loader import as_batch
 from tacgen.learning.predictions import input_statistics, notes_on_images, predict
 from tacgen.learning.run_folder import RunFolder
@@ -58,23 +58,28 @@ class Predictor:
                 raise LearningError(msg)
             network.prior_logit = float(logit(prior))
         if background_rgb is not None:
-            _check_size(background_rgb, self.spec, "the background")
+            _check_size(background_rgb, self.spec.source_shape_px, "the background")
             self._reference = resized(background_rgb[None], self.spec.size_px)[0]
 
     def predict(
         self,
         images: NDArray[np.uint8] | Sequence[NDArray[np.uint8]],
         touch: Mapping[str, Sequence[NDArray[np.floating]]] | None = None,
+        vision: NDArray[np.uint8] | Sequence[NDArray[np.uint8]] | None = None,
     ) -> NDArray[np.float64]:
         """Probability of success (N,) of each grasp.
 
         ``images`` are N of (H, W, 3) uint8 RGB, one a grasp, of the size that the network was
         trained on; for a sequence network N of (T, H, W, 3), the frames of each grasp in time
         order. ``touch`` holds what the network sees beside them, ``markers_mm`` (M, 2) or
-        ``force_field_n`` (rows, columns, 3) of each image. Raises ``LearningError`` if they are of
-        another size or type, or missing.
+        ``force_field_n`` (rows, columns, 3) of each image; ``vision`` the camera's images of the
+        same times, of a network that sees both (of one that sees a camera alone, ``images`` are the
+        camera's). Raises ``LearningError`` if they are of another size or type, or missing.
         """
-        inputs = [self._input(np.asarray(grasp)) for grasp in images]
+        inputs = [self._input(np.asarray(grasp), is_touch=self.spec.sees_touch) for grasp in images]
+        if self.spec.vision is not None and self.spec.n_images == 2:
+            seen = self._seen(images, vision, self.spec.vision)
+            inputs = [np.concatenate(pair, axis=-1) for pair in zip(inputs, seen, strict=True)]
         beside = self._touch_of([np.asarray(grasp) for grasp in images], touch or {})
         counts, trained_s = {len(grasp) for grasp in images}, self._trained_s
         if self.spec.shows_until == "lift":
@@ -96,6 +101,29 @@ class Predictor:
             print_status(note)
         with exact_torch(self._threads):
             return predict(self._network, batches, self._device)[0]
+
+    @property
+    def shape_px(self) -> tuple[int, int]:
+        """The size of ``images``."""
+        only = None if self.spec.sees_touch else self.spec.vision
+        return self.spec.source_shape_px if only is None else only.shape_px
+
+    def _seen(
+        self,
+        images: Sequence[NDArray[Any]] | NDArray[Any],
+        vision: Sequence[NDArray[Any]] | NDArray[Any] | None,
+        camera: VisionInput,
+    ) -> list[NDArray[np.uint8]]:
+        """What the camera saw of each grasp, in the frames that the network sees."""
+        counts = [] if vision is None else [np.shape(grasp)[:-3] for grasp in vision]
+        if counts != [np.shape(grasp)[:-3] for grasp in images]:
+            msg = (
+                f"the network also sees the camera {camera.camera!r}: give vision=…, one of its "
+                f"images for each image of the {len(images)} grasps"
+            )
+            raise LearningError(msg)
+        given = () if vision is None else vision
+        return [self._input(np.asarray(grasp), is_touch=False) for grasp in given]
 
     def _touch_of(
         self, images: Sequence[NDArray[Any]], touch: Mapping[str, Sequence[NDArray[np.floating]]]
@@ -120,21 +148,22 @@ class Predictor:
                 kept.append(frames[chosen_frames(self.spec, count, 0)])
         return found
 
-    def _input(self, grasp: NDArray[Any]) -> NDArray[np.uint8]:
+    def _input(self, grasp: NDArray[Any], *, is_touch: bool) -> NDArray[np.uint8]:
         """The frames of one grasp (t, h, w, 3) at the network's size."""
-        frames = grasp[None] if grasp.ndim == 3 else grasp
+        frames, camera = grasp[None] if grasp.ndim == 3 else grasp, self.spec.vision
+        shape_px = self.spec.source_shape_px if is_touch or camera is None else camera.shape_px
         if frames.ndim != 4 or not len(frames):
             msg = f"a grasp's images are (H, W, 3) or (T, H, W, 3), not {grasp.shape}"
             raise LearningError(msg)
         for frame in frames:
-            _check_size(frame, self.spec, "an image")
+            _check_size(frame, shape_px, "an image")
         if self.spec.kind == "sequence" and len(frames) < 2:
             msg = "the run is of a sequence network: give two or more frames of each grasp"
             raise LearningError(msg)
         if self.spec.kind == "single" and len(frames) > 1:
             msg = f"the run is of a single-image network: give one image a grasp, not {len(frames)}"
             raise LearningError(msg)
-        reference = self._reference
+        reference = self._reference if is_touch else None
         is_colour = reference is not None and np.ptp(reference, axis=-1).any()
         if is_colour and any(not np.ptp(frame, axis=-1).any() for frame in frames):
             msg = (
@@ -161,7 +190,7 @@ def predict_files(predictor: Predictor, paths: Sequence[Path]) -> list[dict[str,
         listed = dict(groups)
         groups = [(one, [one]) for path in paths for one in listed.get(path, [path])]
     images = [
-        np.stack([_read_checked(path, predictor.spec) for path in files]) for _, files in groups
+        np.stack([_read_checked(path, predictor.shape_px) for path in files]) for _, files in groups
     ]
     return [
         {"images": str(path), "probability": float(p)}
@@ -169,9 +198,9 @@ def predict_files(predictor: Predictor, paths: Sequence[Path]) -> list[dict[str,
     ]
 
 
-def _read_checked(path: Path, spec: InputSpec) -> NDArray[np.uint8]:
+def _read_checked(path: Path, shape_px: tuple[int, int]) -> NDArray[np.uint8]:
     image = read_rgb(path, LearningError)
-    _check_size(image, spec, str(path))
+    _check_size(image, shape_px, str(path))
     return image
 
 
@@ -203,8 +232,8 @@ def _model_for(models: dict[str, Any], object_name: str | None, run: str) -> str
     raise LearningError(msg)
 
 
-def _check_size(image: NDArray[Any], spec: InputSpec, what: str) -> None:
-    wanted = (*spec.source_shape_px, 3)
+def _check_size(image: NDArray[Any], shape_px: tuple[int, int], what: str) -> None:
+    wanted = (*shape_px, 3)
     if image.dtype != np.uint8 or image.shape != wanted:
         msg = (
             f"{what} is {image.dtype} of shape {image.shape}; the network was trained on uint8 RGB "

@@ -26,6 +26,7 @@ from tacgen.learning.grasps import (
 from tacgen.learning.inputs import (
     InputSpec,
     TouchInput,
+    VisionInput,
     check_source,
     resized,
     touch_shape,
@@ -79,8 +80,12 @@ def train(
         touch=tuple(
             TouchInput(name, touch_shape(source, name))
             for name in options.channels
-            if name != "image"
+            if name == "markers" or name == "force_field"
         ),
+        vision=VisionInput.of(source.camera(options.camera))
+        if "vision" in options.channels
+        else None,
+        sees_touch="image" in options.channels,
     )
     equal = equal_ranges(source)
     table, notes = one_sided(source.table, equal)

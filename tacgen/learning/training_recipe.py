@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from pydantic import (
     AfterValidator,
@@ -33,14 +33,16 @@ def _input_size(size_px: tuple[int, int]) -> tuple[int, int]:
     return size_px
 
 
-CHANNELS = ("image", "markers", "force_field")
+Channel = Literal["image", "vision", "markers", "force_field"]
+CHANNELS: tuple[Channel, ...] = get_args(Channel)
 
 
-def _with_image(channels: tuple[str, ...]) -> tuple[str, ...]:
-    if "image" not in channels or len(set(channels)) < len(channels):
-        msg = "names `image`, which the network is of, and each of the others once"
+def _with_image(channels: tuple[str, ...]) -> tuple[Channel, ...]:
+    named = ["image" if name == "touch" else name for name in channels]
+    if not {"image", "vision"} & set(named) or len(set(named)) < len(named):
+        msg = "names `touch` or `vision`, which the network is of, and each of the others once"
         raise ValueError(msg)
-    return tuple(name for name in CHANNELS if name in channels)
+    return tuple(name for name in CHANNELS if name in named)
 
 
 class ModelOptions(Section):
@@ -60,10 +62,14 @@ class InputOptions(Section):
     pad: PadName | None = None
     """The pad whose images are used; the dataset's first if not given."""
     channels: Annotated[
-        tuple[Literal["image", "markers", "force_field"], ...], AfterValidator(_with_image)
+        tuple[Literal["touch", "image", "vision", "markers", "force_field"], ...],
+        AfterValidator(_with_image),
     ] = ("image",)
-    """What the network sees: the ``image``, the ``markers``' motion and the ``force_field``, as far
-    as the dataset keeps them; a small branch each beside the ResNet-18."""
+    """What the network sees: ``touch`` (or ``image``), the sensor's images; ``vision``, those of a
+    camera, through a ResNet-18 of its own; the ``markers``' motion and the ``force_field``, as far
+    as the dataset keeps them, a small branch each beside."""
+    camera: str | None = None
+    """The camera of ``vision``; the dataset's first if not given."""
     size_px: Annotated[tuple[int, int], AfterValidator(_input_size)] = (120, 160)
     """Height and width to which images are resized."""
     image: Literal["difference", "change", "raw"] = "difference"
@@ -85,6 +91,8 @@ class InputOptions(Section):
         found: dict[str, Any] = write(self)
         if self.channels == ("image",):
             found.pop("channels", None)
+        if self.camera is None:
+            found.pop("camera", None)
         return found
 
 
@@ -181,5 +189,7 @@ def _problems(recipe: TrainRecipe, source: YamlSource) -> Iterator[str]:
         yield source.problem(
             ("input", "frames"), "only applies to `model.kind: sequence`; remove it"
         )
+    if options.camera is not None and "vision" not in options.channels:
+        yield source.problem(("input", "camera"), "is of the channel `vision`; add it, or remove")
     if options.image == "raw" and options.normalised:
         yield source.problem(("input", "normalised"), "does not apply to `image: raw`; remove it")

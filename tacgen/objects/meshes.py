@@ -49,6 +49,20 @@ def from_manifold(solid: manifold3d.Manifold) -> Mesh:
     return rounded_mesh(np.asarray(out.vert_properties)[:, :3], np.asarray(out.tri_verts))
 
 
+def is_inside(solid: Mesh, point_mm: FloatArray) -> bool:
+    """Whether a point is within a closed mesh.
+
+    Source: van Oosterom & Strackee 1983: the solid angles of its faces add up to 4π inside, to 0
+    outside.
+    """
+    a, b, c = np.moveaxis(solid.vertices_mm[solid.faces] - point_mm, 1, 0)
+    x, y, z = (np.linalg.norm(corner, axis=1) for corner in (a, b, c))
+    ab, ac, bc = (np.einsum("ij,ij->i", *pair) for pair in ((a, b), (a, c), (b, c)))
+    volume = np.einsum("ij,ij->i", a, np.cross(b, c))
+    angles = 2 * np.arctan2(volume, x * y * z + ab * z + ac * y + bc * x)
+    return bool(abs(angles.sum()) > 2 * np.pi)
+
+
 def volume_mm3(solid: Mesh) -> float:
     """Volume enclosed by a closed mesh; negative where its faces point inward."""
     return float(_six_volumes(solid.vertices_mm[solid.faces]).sum() / 6)

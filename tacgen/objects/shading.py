@@ -13,9 +13,13 @@ LIGHTS = ((0.45, 0.55, 0.7, 0.75), (-0.7, 0.1, 0.7, 0.45))
 
 
 @njit(cache=True)
-def _nearest_face(
+def nearest_face(
     points: np.ndarray, faces: np.ndarray, height: int, width: int
 ) -> tuple[np.ndarray, np.ndarray]:
+    """The largest third coordinate (−inf: none) and its face (−1) at whole columns and rows.
+
+    ``points`` (n, 3) are column, row, and what grows towards the viewer, linear in the picture.
+    """
     depth = np.full((height, width), -np.inf)
     face = np.full((height, width), -1, np.int64)
     for f in range(faces.shape[0]):
@@ -80,7 +84,7 @@ def depth_view(
     seen = (mesh.vertices_mm - center_mm) @ axes.T
     seen[:, 0] = seen[:, 0] / mm_per_px + (width - 1) / 2
     seen[:, 1] = (height - 1) / 2 - seen[:, 1] / mm_per_px
-    depth, face = _nearest_face(seen, mesh.faces, height, width)
+    depth, face = nearest_face(seen, mesh.faces, height, width)
     return depth, face
 
 

@@ -417,19 +417,21 @@ class StartedGrasp:
         if len(windows) != 1:
             windows[frame : frame + 1] = [list(self._grasped)]
         past = self.recorder.past()
+        ends = [window[-1] for window in windows]
         held = GraspTrace(
             config=self.config,
             status="executed",
             label=LABEL_NOT_EXECUTED,
             failure_mode="",
             frames=outcome.frames_of(windows, self.bodies, settings.sensing_pads, past),
-            object_pose=outcome.object_poses_mm([window[-1] for window in windows], self.bodies),
+            object_pose=outcome.object_poses_mm(ends, self.bodies),
             rise_mm=math.nan,
             turn_rad=math.nan,
             reason=self.note,
             grasp_time_s=last.step * settings.time_step_s,
             grasp_frame=frame,
-            opening_mm=sum(last.pad_distance_m) * MM_PER_M,
+            gripper_pose=outcome.gripper_poses_mm(ends),
+            pad_distance_mm=frozen_array([end.pad_distance_m for end in ends]) * MM_PER_M,
         )
         if motion is None:
             return held

@@ -191,7 +191,15 @@ def frames_of(
 
 def object_poses_mm(snapshots: Sequence[Snapshot], bodies: Bodies) -> NDArray[np.float64]:
     """(n, 7) position (mm) and quaternion x, y, z, w of the object's frame in the world."""
-    poses = [object_pose(snapshot, bodies) for snapshot in snapshots]
+    return _poses_mm([object_pose(snapshot, bodies) for snapshot in snapshots])
+
+
+def gripper_poses_mm(snapshots: Sequence[Snapshot]) -> NDArray[np.float64]:
+    """(n, 7) the same of the gripper's frame."""
+    return _poses_mm([gripper_pose(snapshot) for snapshot in snapshots])
+
+
+def _poses_mm(poses: Sequence[FloatArray]) -> NDArray[np.float64]:
     return frozen_array(
         [[*(p[:3, 3] * MM_PER_M), *quaternion_from_rotation(p[:3, :3])] for p in poses]
     )

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from tacgen.core.files import sha256_of, sha256_of_content
-from tacgen.core.records import GraspConfig, Sensor, SlipMargin
-from tacgen.dataset import DatasetFolder, DatasetSpec, GraspSample, PadSample
+from tacgen.core.records import Camera, GraspConfig, Sensor, SlipMargin
+from tacgen.dataset import CameraSample, DatasetFolder, DatasetSpec, GraspSample, PadSample
 
 SENSOR = Sensor("gelsight", height_px=24, width_px=32, mm_per_px=0.5, gel_depth_mm=2.0)
 
@@ -79,6 +79,17 @@ def make_sample(index: int, spec: DatasetSpec) -> GraspSample:
         picture=rng.integers(0, 255, (*spec.picture_px, 3), dtype=np.uint8)
         if spec.picture_px
         else None,
+        cameras={one.name: _seen(one, spec, rng) for one in spec.cameras},
+    )
+
+
+def _seen(camera: Camera, spec: DatasetSpec, rng: np.random.Generator) -> CameraSample:
+    """What a camera sees: noise, of the moment of grasp or of every frame."""
+    shape = (len(spec.time_s), *camera.shape_px) if spec.camera_frames else camera.shape_px
+    return CameraSample(
+        rng.integers(0, 256, (*shape, 3), dtype=np.uint8),
+        rng.uniform(200, 900, shape).astype(np.float32),
+        rng.integers(0, 8, shape, dtype=np.uint8),
     )
 
 

@@ -320,3 +320,24 @@ def test_importing_tacgen_after_gymnasium_registers_them():
     code = f"import gymnasium, tacgen; print(gymnasium.spec({GRASP!r}).id)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == f"{GRASP}\n"
+
+
+@pytest.mark.parametrize("frames", ["grasp", "all"])
+def test_cameras_show_the_object_before_the_grasp_and_the_gripper_after(frames):
+    view = {"name": "front", "size_px": [36, 48]}
+    view |= {"look_at": {"from_mm": [300, -300, 250], "to_mm": [0, 0, 40]}}
+    recipe = small_recipe(
+        dataset=BARE,
+        scene={"cameras": [view], "frames": frames},
+        frames={"mode": "sequence", "count": 3, "until": "lift"},
+    )
+    env = make(GRASP, recipe)
+    check_env(env, skip_render_check=True)
+    before, _ = env.reset(options={"grasp": 4})
+    assert before["front_rgb"].shape == ((3,) if frames == "all" else ()) + (36, 48, 3)
+    after, _, _, _, info = env.step(before["gripper"][:5])
+    assert info["status"] == "executed"
+    last = (..., slice(None), slice(None))
+    nearer = after["front_depth_mm"][last] < before["front_depth_mm"][last] - 5.0
+    assert nearer.reshape(-1, 36, 48)[-1].sum() > 20  # the gripper, before the table and the object
+    env.close()

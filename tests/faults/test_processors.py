@@ -35,6 +35,7 @@ frames: {mode: sequence, count: 3}
 robot: {name: ur5e_wsg50, tactile_pads: both}
 optics: {shadows: true, markers: true, noise: true}
 dataset: {depth: all, markers: true, force_field: [4, 5]}
+scene: {frames: all, cameras: [{name: a, look_at: {from_mm: [300, -280, 200], to_mm: [3, 5, 70]}}]}
 randomize: {friction_relative: 0.1, center_of_mass_mm: 1.0, position_mm: 0.5, yaw_rad: 0.02}
 """
 

@@ -1,11 +1,13 @@
-"""What marker motion and force field add to the image, in the engine trained on and in the other.
+"""What marker motion and force field, or a camera, add to the image, in both engines.
 
-``python -m validation.learning.touch DIR [--grasps N] [--seeds N] [--epochs N] [--kind KIND]``
+``python -m validation.learning.touch DIR [--vision] [--engines NAME…] [--grasps N] [--seeds N]
+[--epochs N] [--kind KIND]``
 collects the same grasps of two objects in PyBullet and in MuJoCo, trains one network on those of
 PyBullet with each set of channels, from scratch, and tests it on the test grasps of both engines.
 It prints a Markdown table: the mean accuracy over the seeds with the standard error of one test
 set, and of the difference to the image alone, paired by grasp, with its 95 % interval from
-resampling the grasps. What is there already is used again.
+resampling the grasps. What is there already is used again. With ``--vision`` the sets are touch,
+vision (a camera of 96 × 128 px some 500 mm away) and both.
 
 With 143 training and 116 test grasps and two seeds no channel adds anything that this many grasps
 can tell: +1.3 [−1.3, +3.9] % at most, in either engine.
@@ -37,6 +39,8 @@ CHANNELS: tuple[tuple[str, ...], ...] = (
     ("image", "force_field"),
     ("image", "markers", "force_field"),
 )
+WITH_VISION: tuple[tuple[str, ...], ...] = (("image",), ("vision",), ("image", "vision"))
+CAMERA = {"name": "front", "look_at": {"from_mm": [330, -330, 220], "to_mm": [0, 0, 60]}}
 RESAMPLES = 4000
 UNKNOWN = {"friction_relative": 0.2, "mass_relative": 0.3}
 """What each grasp draws anew: neither force and place nor the imprint of a gel at rest tell it."""
@@ -61,8 +65,11 @@ GRASPS = {
 }
 
 
-def collect(engine: str, root: Path, n_grasps: int) -> Path:
+def collect(engine: str, root: Path, n_grasps: int, *, vision: bool) -> Path:
     """The dataset of an engine, ``n_grasps`` of each object, with all channels."""
+    beside = {"dataset": {"markers": True, "force_field": [9, 12]}}
+    if vision:
+        beside = {"dataset": {}, "scene": {"cameras": [CAMERA], "frames": "all"}}
     recipe: dict[str, Any] = {
         "name": f"touch_{engine}",
         "seed": 23,
@@ -73,12 +80,8 @@ def collect(engine: str, root: Path, n_grasps: int) -> Path:
         "physics": {"engine": engine},
         "frames": {"mode": "sequence", "count": 5, "span_s": 0.8},
         "randomize": UNKNOWN,
-        "dataset": {
-            "shard_size": 40,
-            "scene_pictures": False,
-            "markers": True,
-            "force_field": [9, 12],
-        },
+        **beside,
+        "dataset": {"shard_size": 40, "scene_pictures": False, **beside["dataset"]},
     }
     path = root / f"{engine}.yaml"
     path.write_text(yaml.safe_dump(recipe))
@@ -119,7 +122,7 @@ def row(
 ) -> str:
     """Accuracy in each engine, and how much more than that of the image alone."""
     cells = []
-    for engine in ENGINES:
+    for engine in found:
         own, image = np.mean(found[engine], axis=0), np.mean(plain[engine], axis=0)
         rng = np.random.default_rng(0)
         picks = rng.integers(0, len(own), (RESAMPLES, len(own)))
@@ -143,22 +146,27 @@ def main() -> None:
     parser.add_argument("--epochs", type=int, default=12)
     parser.add_argument("--kind", choices=("single", "sequence"), default="single")
     parser.add_argument("--collect-only", choices=ENGINES)
+    parser.add_argument("--engines", nargs="+", choices=ENGINES, default=ENGINES)
+    parser.add_argument("--vision", action="store_true")
     asked = parser.parse_args()
     asked.root.mkdir(parents=True, exist_ok=True)
-    engines = (asked.collect_only,) if asked.collect_only else ENGINES
-    data = {engine: collect(engine, asked.root, asked.grasps) for engine in engines}
+    engines = (asked.collect_only,) if asked.collect_only else asked.engines
+    data = {
+        engine: collect(engine, asked.root, asked.grasps, vision=asked.vision) for engine in engines
+    }
     if asked.collect_only:
         return
     results: dict[str, dict[str, list[NDArray[np.bool_]]]] = {}
-    for channels in CHANNELS:
+    for channels in WITH_VISION if asked.vision else CHANNELS:
         runs = [
-            trained(data["pybullet"], asked.root, channels, seed, asked.epochs, asked.kind)
+            trained(data[engines[0]], asked.root, channels, seed, asked.epochs, asked.kind)
             for seed in range(asked.seeds)
         ]
-        results[", ".join(channels)] = {e: [right(run, data[e]) for run in runs] for e in ENGINES}
+        results[", ".join(channels)] = {e: [right(run, data[e]) for run in runs] for e in engines}
     listed = {n: {e: np.stack(v).tolist() for e, v in of.items()} for n, of in results.items()}
     (asked.root / f"right_{asked.kind}.json").write_text(json.dumps(listed))
-    print("| channels | PyBullet, % | more | MuJoCo, % | more |\n|---|---|---|---|---|")  # noqa: T201
+    head = "".join(f" {engine}, % | more |" for engine in engines)
+    print(f"| channels |{head}\n|---|{2 * len(engines) * '---|'}")  # noqa: T201
     for name, found in results.items():
         print(f"| {name} | {row(found, results['image'])} |")  # noqa: T201
 

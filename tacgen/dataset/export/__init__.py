@@ -7,6 +7,7 @@ empty folder, and returns a few words on what it wrote; one that can do without 
 """
 
 import inspect
+from collections.abc import Iterator
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -18,9 +19,10 @@ import pandas as pd
 from tacgen.core.disk import disk_errors
 from tacgen.core.errors import DatasetError, require_known
 from tacgen.core.files import atomic_folder
-from tacgen.core.records import LABEL_NOT_EXECUTED
+from tacgen.core.records import LABEL_NOT_EXECUTED, Camera
 from tacgen.dataset.reader import Dataset
-from tacgen.dataset.schema import SPLITS
+from tacgen.dataset.samples import GraspSample
+from tacgen.dataset.schema import SEGMENT_NAMES, SEGMENTS, SPLITS, T_WORLD_CAMERA, Field, K
 
 _USUAL = ("lerobot", "images", "webdataset", "robomimic", "real-grasps")  # first in messages
 FORMATS = tuple(
@@ -74,7 +76,24 @@ def _touch_note(dataset: Dataset) -> str:
     elif not depth.is_of_frames:
         said = "; depth of the moment of grasp alone, as the dataset has it"
     names = {"markers_mm": "the markers' motion", "force_field_n": "the force field"}
-    return said + "".join(f"; {names[name]}" for name in dataset.touch_names if name in names)
+    said += "".join(f"; {names[name]}" for name in dataset.touch_names if name in names)
+    return said + (f"; cameras {', '.join(dataset.cameras)}" if dataset.cameras else "")
+
+
+def camera_arrays(dataset: Dataset, sample: GraspSample) -> Iterator[tuple[str, Field, Any]]:
+    """(camera, field, values) of everything that the cameras saw of a grasp."""
+    for name, seen in sample.cameras.items():
+        yield from ((name, field, field.value(seen)) for field in dataset.layout.of_cameras)
+
+
+def camera_facts(camera: Camera) -> dict[str, Any]:
+    """What is known of a camera, as plain data."""
+    return {
+        "size_px": list(camera.shape_px),
+        K: camera.k_px.tolist(),
+        T_WORLD_CAMERA: camera.t_world_camera_mm.tolist(),
+        SEGMENT_NAMES: list(SEGMENTS),
+    }
 
 
 def _chosen(dataset: Dataset, split: str | None) -> tuple[pd.DataFrame, int]:

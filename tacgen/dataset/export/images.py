@@ -1,14 +1,17 @@
 """Export to PNG images and CSV tables, with depth and the figures of each frame."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from tacgen.dataset.export import real_grasps
+from tacgen.core.files import write_text
+from tacgen.core.images import encode_png
+from tacgen.dataset.export import camera_arrays, camera_facts, real_grasps
 from tacgen.dataset.export.real_grasps import grasp_id, pad_suffix
 from tacgen.dataset.reader import Dataset
-from tacgen.dataset.samples import frame_columns, frame_flags
+from tacgen.dataset.samples import GraspSample, frame_columns, frame_flags
 from tacgen.dataset.schema import REST
 
 
@@ -20,11 +23,15 @@ def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
     (T, H, W), or (H, W) at the moment of grasp, ``markers/<grasp_id>.npy`` (T, M, 2) the motion of
     the markers from ``markers/rest_mm.npy`` (M, 2), ``force_field/<grasp_id>.npy`` (T, rows,
     columns, 3) the force in N on each cell; all float32. Those of another pad stand in
-    ``images_<pad>``, ``contact_<pad>`` and so on.
+    ``images_<pad>``, ``contact_<pad>`` and so on. What a camera sees is in ``cameras/<name>``:
+    ``rgb/<grasp_id>/<k>.png``, ``segmentation/<grasp_id>/<k>.png`` (without ``<k>`` where only the
+    moment of grasp is kept: ``0.png``), ``depth_mm/<grasp_id>.npy``, and its intrinsics and pose in
+    ``camera.json``.
     """
     real_grasps.write(dataset, grasps, folder)
     for index in map(int, grasps["index"]):
         sample, name = dataset.read(index), grasp_id(index)
+        _write_cameras(dataset, sample, folder / "cameras")
         for pad_name, pad in sample.pads.items():
             suffix = pad_suffix(dataset, pad_name)
             contact = folder / f"contact{suffix}"
@@ -39,5 +46,21 @@ def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
                 np.save(place / f"{name}.npy", np.asarray(field.value(pad), np.float32))
                 if field.rest:
                     np.save(place / f"{REST}.npy", dataset.marker_rest_mm(pad_name))
+    for camera in dataset.cameras.values():
+        facts = json.dumps(camera_facts(camera), indent=1)
+        write_text(folder / "cameras" / camera.name / "camera.json", facts)
     pads = "" if len(dataset.pads) == 1 else f", {' and '.join(dataset.pads)} pad apart"
     return f"{len(grasps)} grasps as PNG and CSV{pads}"
+
+
+def _write_cameras(dataset: Dataset, sample: GraspSample, folder: Path) -> None:
+    name = grasp_id(sample.config.index)
+    for camera, field, values in camera_arrays(dataset, sample):
+        place = folder / camera / field.name
+        if field.dtype != "uint8":
+            place.mkdir(parents=True, exist_ok=True)
+            np.save(place / f"{name}.npy", values)
+            continue
+        (place / name).mkdir(parents=True)
+        for k, image in enumerate(values if field.is_of_frames else [values]):
+            (place / name / f"{k}.png").write_bytes(encode_png(image))

@@ -3,7 +3,9 @@
 Each executed grasp becomes an episode of T frames; the episodes of the train split come first.
 Markers and force field are ``observation.markers_mm`` (M, 2), whose places at rest stand in the
 feature's ``info``, and ``observation.force_field_n`` (rows, columns, 3); of two pads
-``observation.<pad>.…``.
+``observation.<pad>.…``. A camera that saw every frame is ``observation.images.camera_<name>``, its
+intrinsics and pose in the feature's ``info``; its depth and segments, and one that saw the moment
+of grasp alone, are arrays an episode in ``cameras/<name>``.
 Source: the format of huggingface/lerobot at ``codebase_version`` v3.0 (``meta/info.json``,
 ``meta/stats.json``, ``meta/tasks.parquet``, ``meta/episodes``, ``data``).
 """
@@ -19,8 +21,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tacgen.core.errors import DatasetError
+from tacgen.core.files import write_text
 from tacgen.core.images import encode_png
 from tacgen.core.optional_dependencies import require_extra
+from tacgen.dataset.export import camera_arrays, camera_facts
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample, frame_columns, frame_flags
 from tacgen.dataset.schema import ACTION, FLAG_FIELDS, REST, SPLITS, STATE_FIELDS
@@ -77,6 +81,12 @@ def _image_name(dataset: Dataset, pad: str) -> str:
     return f"observation.images.{dataset.sensor}{suffix}"
 
 
+def _camera_names(dataset: Dataset) -> dict[str, str]:
+    """The feature of each camera that saw every frame."""
+    is_of_frames = any(field.is_of_frames for field in dataset.layout.of_cameras)
+    return {name: f"observation.images.camera_{name}" for name in dataset.cameras if is_of_frames}
+
+
 def _prefixes(dataset: Dataset) -> dict[str, str]:
     """What names of a pad begin with, by pad."""
     return {pad: "" if len(dataset.pads) == 1 else f"{pad}." for pad in dataset.pads}
@@ -98,6 +108,10 @@ def _features(dataset: Dataset) -> dict[str, dict[str, Any]]:
     shape, names = [*dataset.shape_px, 3], ["height", "width", "channels"]
     image = {"dtype": "image", "shape": shape, "names": names}
     found: dict[str, dict[str, Any]] = {_image_name(dataset, pad): image for pad in dataset.pads}
+    for camera, feature in _camera_names(dataset).items():
+        facts = camera_facts(dataset.cameras[camera])
+        shape = [*dataset.cameras[camera].shape_px, 3]
+        found[feature] = {"dtype": "image", "shape": shape, "names": names, "info": facts}
     for name, axes in vectors.items():
         found[name] = {"dtype": "float32", "shape": [len(axes)], "names": axes}
     for pad in dataset.pads:
@@ -231,6 +245,12 @@ class _Export:
                 place = self.root / "depth_mm"
                 place.mkdir(exist_ok=True)
                 np.save(place / f"episode_{episode:06d}_{pad}.npy", frames.depth_mm)
+        features = _camera_names(self.dataset)
+        for camera, one, seen in camera_arrays(self.dataset, sample):
+            if one.name != "rgb" or camera not in features:
+                place = self.root / "cameras" / camera / one.name
+                place.mkdir(parents=True, exist_ok=True)
+                np.save(place / f"episode_{episode:06d}.npy", seen)
         self._write_frames(values)
         about = {
             "episode_index": episode,
@@ -262,6 +282,8 @@ class _Export:
             for flag, held in frame_flags(pad).items()
         }
         images = {_image_name(self.dataset, name): pad.rgb for name, pad in pads}
+        features = _camera_names(self.dataset).items()
+        images |= {feature: sample.cameras[name].rgb for name, feature in features}
         touch = {
             feature: getattr(pad, field)
             for name, pad in pads
@@ -327,6 +349,9 @@ class _Export:
         stats = {
             key: _stats(parts, n_frames, self.features[key]) for key, parts in self.parts.items()
         }
+        for camera in self.dataset.cameras.values():
+            facts = json.dumps(camera_facts(camera), indent=1)
+            write_text(self.root / "cameras" / camera.name / "camera.json", facts)
         meta = self.root / "meta"
         episodes = meta / "episodes/chunk-000/file-000.parquet"
         episodes.parent.mkdir(parents=True)

@@ -22,6 +22,7 @@ import pandas as pd
 from tacgen.core.arrays import FloatArray
 from tacgen.core.disk import DiskFile
 from tacgen.core.records import LABEL_SUCCESS
+from tacgen.dataset.export import camera_arrays, camera_facts
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample
 from tacgen.dataset.schema import ACTION, Layout
@@ -46,11 +47,20 @@ def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
         for name, index, action in zip(names, grasps["index"], actions, strict=True):
             demo, sample = data.create_group(name.decode()), dataset.read(int(index))
             _write_demo(demo, sample, dataset.layout, action)
+            for camera, field, values in camera_arrays(dataset, sample):
+                # As of pads: what is of the moment of grasp stands beside the observations.
+                place = f"camera_{camera}_{field.name}"
+                options = {"chunks": (1, *values.shape[1:]), "compression": "gzip"}
+                is_observed = field.is_of_frames
+                place = f"obs/{place}" if is_observed else place
+                demo.create_dataset(place, data=values, **(options if is_observed else {}))
             disk.raise_failure()
         data.attrs["total"] = len(grasps) * dataset.n_frames
         for pad in dataset.pads:
             if "markers_mm" in dataset.touch_names:
                 data.attrs[f"{pad}_marker_rest_mm"] = dataset.marker_rest_mm(pad)
+        for one in dataset.cameras.values():
+            data.attrs[f"camera_{one.name}"] = json.dumps(camera_facts(one))
         data.attrs.update({"action_names": list(ACTION), "action_low": low, "action_high": high})
         # robomimic builds its environment from these; type 2 is its general (gym) one.
         about = {"env_name": "tacgen", "type": 2, "env_kwargs": {"sensor": dataset.sensor}}

@@ -1,7 +1,8 @@
 """Export to WebDataset: tar files of samples that stream into a training loop.
 
 A sample is the files of one base name: ``<grasp_id>.<pad>.<k>.png`` (frame k of a pad), ``.npy``
-arrays, and ``.json`` with everything else. Format: github.com/webdataset/webdataset.
+arrays, and ``.json`` with everything else; of a camera ``<grasp_id>.camera.<name>.<k>.png`` and
+``.npy``. Format: github.com/webdataset/webdataset.
 """
 
 import io
@@ -15,6 +16,7 @@ import numpy as np
 import pandas as pd
 
 from tacgen.core.images import encode_png
+from tacgen.dataset.export import camera_arrays, camera_facts
 from tacgen.dataset.export.real_grasps import grasp_id
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample
@@ -45,6 +47,8 @@ def _files(
 ) -> Iterator[tuple[str, bytes]]:
     moment = None if np.isnan(sample.grasp_time_s) else sample.grasp_time_s
     about = {"grasp_frame": sample.grasp_frame, "grasp_time_s": moment, **row}
+    if sample.cameras:
+        about["cameras"] = {name: camera_facts(one) for name, one in dataset.cameras.items()}
     yield "json", json.dumps(about, default=lambda value: value.item()).encode()
     yield "object_pose.npy", _npy(np.asarray(sample.object_pose))
     for pad, frames in sample.pads.items():
@@ -55,6 +59,12 @@ def _files(
                 yield f"{pad}.{field.name}.npy", _npy(values)
             if field.rest:
                 yield f"{pad}.{field.rest}.npy", _npy(dataset.marker_rest_mm(pad))
+    for camera, field, values in camera_arrays(dataset, sample):
+        if field.name == "rgb":
+            for k, rgb in enumerate(values if field.is_of_frames else [values]):
+                yield f"camera.{camera}.{k}.png", encode_png(rgb)
+        else:
+            yield f"camera.{camera}.{field.name}.npy", _npy(values)
 
 
 def _npy(array: np.ndarray[Any, np.dtype[Any]]) -> bytes:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from tacgen.collection.grid import PlannedGrasp
 from tacgen.collection.pipeline import GraspPipeline, tactile_pad
-from tacgen.collection.recipe import Randomize, Recipe
+from tacgen.collection.recipe import Randomize, Recipe, Scene
 from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import TacgenError
 from tacgen.core.safe_io import read_rgb
@@ -142,6 +142,7 @@ def _at_force(recipe: Recipe, grasps: Sequence[RealGrasp], factor: float) -> Rec
             "physics": replace(physics, delivered_force_scale=force_scale),
             "optics": recipe.optics.model_copy(update={"noise": False}),
             "dataset": recipe.dataset.model_copy(update={"scene_pictures": False}),
+            "scene": Scene(),
             "randomize": Randomize(),
         }
     )
