@@ -54,6 +54,19 @@ from tacgen.sensor.description import (
 )
 
 
+class Adaptive(Section):
+    """Training grasps chosen near the border between success and failure, in batches.
+
+    Test grasps and the ``first`` training grasps are drawn at random. Each further batch follows
+    from the labels of all grasps before it.
+    """
+
+    first: PositiveInt = 30
+    """Training grasps drawn at random before the first choice, per object."""
+    batch: PositiveInt = 20
+    """Training grasps chosen at a time, per object."""
+
+
 class Grid(Section):
     """Axes of the grid of grasps; an axis that is not given has the object's own grasp ranges."""
 
@@ -70,6 +83,16 @@ class Grid(Section):
     """Gripper's angle about z; at 0 the fingers close along world x."""
     sample: PositiveInt | None = None
     """Number of grasps drawn at random from the grid, per object; all if not given."""
+    adaptive: Adaptive | None = None
+    """Choose training grasps of the ``sample`` near the border between success and failure."""
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without ``adaptive`` what was written before there was that key: the same hash."""
+        found: dict[str, Any] = write(self)
+        if self.adaptive is None:
+            found.pop("adaptive", None)
+        return found
 
 
 class ObjectEntry(Located):
@@ -476,5 +499,14 @@ def _values_out_of_range(recipe: Recipe, source: YamlSource) -> Iterable[str]:
         for k, force_n in enumerate(grid.force_n or ()):
             if problem := force_problem(force_n, limit_n):
                 yield source.problem((*key_path, "force_n", k), problem)
+        sample, chosen = grid.sample or recipe.grid.sample, grid.adaptive
+        if chosen is not None and sample is None:
+            fix = "needs grid.sample: how many grasps of the grid there are to be, per object"
+            yield source.problem((*key_path, "adaptive"), fix)
+        elif chosen is not None and sample is not None:
+            n_train = sample - round(recipe.split.test_fraction * sample)
+            if chosen.first >= n_train:
+                fix = f"is to be less than the {n_train} training grasps of sample = {sample}"
+                yield source.problem((*key_path, "adaptive", "first"), f"= {chosen.first} {fix}")
     if recipe.contact.file is None and (doubt := k_n_doubt(recipe.contact.k_n_mm3_per_n)):
         yield source.problem(("contact", "k_n_mm3_per_n"), doubt)

@@ -49,7 +49,8 @@ class ShardLine:
     the shard depends on (see ``inputs.py``) and ``engine`` the physics engine, whose version stands
     in ``versions``; ``validity`` counts the ``frames``, and the ``grasps`` at their moment, that do
     not show the whole force, by the flags of the schema; ``part`` is 0, or counts how often the
-    dataset had grown when the shard was added.
+    dataset had grown when the shard was added; ``chosen`` says that it holds training grasps that
+    were chosen near the border between success and failure (``grid.adaptive`` of the recipe).
     """
 
     schema: Literal[1] = 1
@@ -75,6 +76,7 @@ class ShardLine:
     inputs: dict[str, str]
     engine: str
     part: NonNegativeInt
+    chosen: bool = False
 
     @model_validator(mode="after")
     def _checked(self) -> "ShardLine":
@@ -98,8 +100,11 @@ class ShardLine:
         return self.index_range[1] - self.index_range[0]
 
     def to_json(self) -> str:
-        """One line, the same for the same shard."""
-        return json.dumps(asdict(self), sort_keys=True)
+        """One line, the same for the same shard; of one at random as before there was another."""
+        found = asdict(self)
+        if not self.chosen:
+            del found["chosen"]
+        return json.dumps(found, sort_keys=True)
 
 
 def parse_line(text: str, where: str, fix: str = FIX_MERGED) -> ShardLine:
