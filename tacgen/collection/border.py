@@ -7,8 +7,6 @@ of a dataset hang on these choices, so they must be the same on every machine: n
 products, quotients and square roots in a fixed order, which every processor rounds alike.
 """
 
-from typing import Any
-
 import numpy as np
 
 from tacgen.core.arrays import BoolArray, FloatArray, IntArray
@@ -76,13 +74,13 @@ def _nearest(x: FloatArray, z: FloatArray, scales: FloatArray) -> IntArray:
 
 
 @njit(cache=True, nogil=True)
-def _kernel(a: FloatArray, b: FloatArray, scales: FloatArray) -> Any:
+def _kernel(a: FloatArray, b: FloatArray, scales: FloatArray) -> float:
     """How alike two places (d,) are, from 1 down: the rational quadratic kernel with α = 1."""
     total = 0.0
     for k in range(a.shape[0]):
         d = (a[k] - b[k]) / scales[k]
         total += d * d
-    return 1.0 / (1.0 + 0.5 * total)
+    return float(1.0 / (1.0 + 0.5 * total))
 
 
 @njit(cache=True, nogil=True)
@@ -112,7 +110,7 @@ def _left_out_error(x: FloatArray, y: FloatArray, scales: FloatArray, noise: flo
         for j in range(n):
             total += inverse[i, j] * y[j]
         error += (total / inverse[i, i]) ** 2
-    return error / n
+    return float(error / n)
 
 
 @njit(cache=True, nogil=True)

@@ -66,6 +66,8 @@ class GraspPlan:
 def plan_recipe(recipe: Recipe) -> tuple[PlannedGrasp, ...]:
     """Every grasp of ``recipe``, in order; axes left out are those of its objects' ``object.yaml``.
 
+    Of an adaptive recipe these are the grasps that are drawn at random, which come first.
+
     Raises ``RecipeError`` if a force exceeds the gripper's, or the grid is too large.
     """
     return grown_plan(recipe, ()).grasps

@@ -96,7 +96,8 @@ def collect(
     recipe : Recipe, or the name or path of one
     out : path of the dataset's folder
     shards : sequence of int, optional
-        The share of this call; all by default.
+        The share of this call; all by default. Where it follows from grasps of other shares
+        (``grid.adaptive``), those that no other process works on are made too.
     redo : sequence of int
         Shards to make anew although they are there (a repair).
     grow : bool

@@ -197,6 +197,7 @@ class DatasetFolder:
                 all(isinstance(number, int) and number > 0 for number in numbers)
                 and all(isinstance(plan[name], kind) for name, kind in kinds.items())
                 and all(type(part) is int and part > 0 for part in plan["parts"])
+                and all(isinstance(record, dict) for grid in plan["grids"] for record in grid)
             )
         if not is_whole:
             fix = "give the folder that `tacgen collect --out` made"

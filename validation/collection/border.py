@@ -29,6 +29,7 @@ from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Adaptive, Recipe
 from tacgen.core.files import atomic_path, write_text
+from tacgen.core.progress import print_status
 from tacgen.core.workers import map_in_processes
 from tacgen.learning.parameter_baseline import forest
 from tacgen.report.figures import ACCENT, MUTED, new_figure
@@ -192,7 +193,7 @@ def main() -> None:
         one = partial(accuracies, name, folder=folder)
         found[name] = summary(map_in_processes(one, range(options.seeds), method="spawn"))
         shares = {k: [v[f"share_of_{n}"] for n in READ_AT] for k, v in found[name].items()}
-        print(name, json.dumps(shares), flush=True)
+        print_status(f"{name} {json.dumps(shares)}")
     record = {"counts": COUNTS, "seeds": options.seeds, "objects": found}
     write_text(folder / "border.json", json.dumps(record, indent=1) + "\n")
     draw(found, folder / "border.png")
