@@ -92,7 +92,7 @@ def grid(recipe: common.RecipeArgument, json_output: common.JsonFlag = False) ->
     """List the grasps of a recipe with the shard of each, as CSV."""
     import pandas as pd
 
-    from tacgen.collection.grid import grid_rows, plan_recipe
+    from tacgen.collection.grid import grid_rows, grown_plan
     from tacgen.collection.pipeline import dataset_spec
     from tacgen.collection.recipe import load_recipe
     from tacgen.core.errors import PhysicsError, TacgenError
@@ -100,12 +100,18 @@ def grid(recipe: common.RecipeArgument, json_output: common.JsonFlag = False) ->
     from tacgen.physics import GraspSimulator
 
     loaded = load_recipe(recipe)
-    rows = grid_rows(plan_recipe(loaded))
+    plan = grown_plan(loaded, ())
+    rows = grid_rows(plan.grasps)
     try:
         GraspSimulator(loaded.robot.spec(), loaded.physics.engine)
     except PhysicsError as error:  # the list is right all the same
         common.warn([error])
     common.print_result(rows, pd.DataFrame(rows).to_csv(index=False).rstrip("\n"), json_output)
+    if plan.n_to_choose:
+        print_status(
+            f"{plan.n_to_choose} more training grasps are chosen by the outcomes, in "
+            f"{len(plan.parts) - 1} batches (grid.adaptive)"
+        )
     try:
         costs = dataset_spec(loaded, len(rows)).grasp_bytes.items()
         kept = ", ".join(f"{name} {n / 1e3:.1f} kB" for name, n in costs)

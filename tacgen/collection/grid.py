@@ -2,13 +2,16 @@
 
 import hashlib
 import itertools
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from tacgen.collection.recipe import Grid, ObjectEntry, Recipe
+from tacgen.collection.border import choose_near_border
+from tacgen.collection.recipe import Adaptive, Grid, ObjectEntry, Recipe
+from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.errors import RecipeError
 from tacgen.core.progress import print_once
 from tacgen.core.records import GraspConfig
@@ -19,6 +22,7 @@ AXES = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
 Grids = Sequence[Mapping[str, Any]]
 """The grids of a recipe's objects, a record each."""
 MAX_GRASPS = 10_000_000  # years of one machine: a misspelt axis
+MAX_CANDIDATES = 4096  # of a large grid: far closer together than a batch's grasps
 
 Point = tuple[str, float, float, float, float, float]
 """What identifies a grasp: its object and the values of ``AXES``."""
@@ -42,27 +46,44 @@ class PlannedGrasp:
 class GraspPlan:
     """The grasps of a dataset in their order, and the grids that they came with, one after another.
 
-    Each of ``grids`` holds a record an object: its name, its axes and how many of its points are
-    drawn; each of ``parts`` is the number of grasps that a grid added to those before it.
+    Each of ``grids`` holds a record an object: its name, its axes and how many of its points there
+    are; each of ``parts`` is the number of grasps that a grid added to those before it. Where a
+    recipe is adaptive, a grid is a batch: its record also has the number of its ``tests``, and the
+    points that were ``chosen``. Batches that follow from grasps still to be made have their number
+    in ``parts`` alone.
     """
 
     grasps: tuple[PlannedGrasp, ...]
     grids: tuple[Grids, ...]
     parts: tuple[int, ...]
 
+    @property
+    def n_to_choose(self) -> int:
+        """How many grasps are not chosen yet."""
+        return sum(self.parts) - len(self.grasps)
+
 
 def plan_recipe(recipe: Recipe) -> tuple[PlannedGrasp, ...]:
     """Every grasp of ``recipe``, in order; axes left out are those of its objects' ``object.yaml``.
+
+    Of an adaptive recipe these are the grasps that are drawn at random, which come first.
 
     Raises ``RecipeError`` if a force exceeds the gripper's, or the grid is too large.
     """
     return grown_plan(recipe, ()).grasps
 
 
-def grown_plan(recipe: Recipe, recorded: Sequence[Grids]) -> GraspPlan:
+Labels = Callable[[int], IntArray | None]
+"""The labels (n,) of the first n grasps of a dataset; None until all of them are made."""
+
+
+def grown_plan(
+    recipe: Recipe, recorded: Sequence[Grids], labels_of: Labels = lambda _: None
+) -> GraspPlan:
     """The plan of ``recipe`` where a dataset already has the grids ``recorded``.
 
-    Its grasps keep their places, and those that it lacks follow in shards of their own. Where a
+    Its grasps keep their places, and those that it lacks follow in shards of their own; of an
+    adaptive recipe the next batch, once ``labels_of`` knows all grasps before it. Where a
     recorded grasp is none of the recipe's, the plan is that of the recipe alone.
 
     Raises ``RecipeError`` as ``plan_recipe`` does.
@@ -70,17 +91,18 @@ def grown_plan(recipe: Recipe, recorded: Sequence[Grids]) -> GraspPlan:
     own: Grids = [_grid_of(recipe, entry) for entry in recipe.objects]
     grids = list(recorded)
     parts = _parts(recipe.seed, grids)
-    before = set().union(*parts) if parts else set()
-    there = {name: [p for p in before if p[0] == name] for name in {p[0] for p in before}}
-    whole = _points(recipe.seed, own, there)
-    if not before <= set(whole):
-        grids, parts, before, whole = [], [], set(), _points(recipe.seed, own, {})
-    added = [point for point in whole if point not in before]
-    if added:
-        grids, parts = [*grids, own], [*parts, added]
+    if not set().union(*parts) <= set(_points(recipe.seed, own, _by_object(parts))):
+        grids, parts = [], []
+    to_come = _batches(recipe, own, _by_object(parts))
+    if to_come:
+        known = [point for part in parts for point in part]
+        batch = _with_choice(recipe, own, to_come[0], known, labels_of)
+        if batch is not None:
+            grids, to_come = [*grids, batch], to_come[1:]
+            parts = _parts(recipe.seed, grids)
     planned: list[PlannedGrasp] = []
     entries = {entry.object_name: k for k, entry in enumerate(recipe.objects)}
-    splits, shard = _splits(recipe, parts), 0
+    splits, shard = _splits(recipe, grids, parts), 0
     for part in parts:
         for k, point in enumerate(part):
             config = GraspConfig(len(planned), *point)
@@ -88,7 +110,8 @@ def grown_plan(recipe: Recipe, recorded: Sequence[Grids]) -> GraspPlan:
             seed = _draw(recipe.seed, "grasp", point)
             planned.append(PlannedGrasp(config, entries[point[0]], splits[point], number, seed))
         shard += -(-len(part) // recipe.dataset.shard_size)
-    return GraspPlan(tuple(planned), tuple(grids), tuple(map(len, parts)))
+    sizes = [*map(len, parts), *(sum(more.values()) for more in to_come)]
+    return GraspPlan(tuple(planned), tuple(grids), tuple(sizes))
 
 
 def grid_rows(planned: Sequence[PlannedGrasp]) -> list[dict[str, object]]:
@@ -150,8 +173,10 @@ def _points(seed: int, grids: Grids, there: Mapping[str, Sequence[Point]]) -> li
     found: list[Point] = []
     for grid in grids:
         name, sample = str(grid["object"]), grid["sample"]
-        axes = [[float(value) + 0.0 for value in grid[axis]] for axis in AXES]
-        points: list[Point] = [(name, *values) for values in itertools.product(*axes)]  # type: ignore[misc]
+        if "chosen" in grid:
+            found += [(name, *map(float, point)) for point in grid["chosen"]]  # type: ignore[misc]
+            continue
+        points = _whole(grid)
         if sample is not None and sample < len(points):
             kept = set(there.get(name, ()))
             left = [point for point in points if point not in kept]
@@ -162,34 +187,149 @@ def _points(seed: int, grids: Grids, there: Mapping[str, Sequence[Point]]) -> li
     return found
 
 
+def _whole(grid: Mapping[str, Any]) -> list[Point]:
+    """Every point of an object's grid, in order."""
+    axes = [[float(value) + 0.0 for value in grid[axis]] for axis in AXES]
+    return [(str(grid["object"]), *values) for values in itertools.product(*axes)]  # type: ignore[misc]
+
+
 def _parts(seed: int, grids: Sequence[Grids]) -> list[list[Point]]:
     """The grasps that each of a dataset's grids added."""
     parts: list[list[Point]] = []
-    there: dict[str, list[Point]] = {}
     for grid in grids:
+        there = _by_object(parts)
         before = {point for points in there.values() for point in points}
         parts.append([point for point in _points(seed, grid, there) if point not in before])
-        for point in parts[-1]:
-            there.setdefault(point[0], []).append(point)
     return parts
 
 
-def _splits(recipe: Recipe, parts: Sequence[Sequence[Point]]) -> dict[Point, str]:
+def _by_object(parts: Sequence[Sequence[Point]]) -> dict[str, list[Point]]:
+    found: dict[str, list[Point]] = {}
+    for part in parts:
+        for point in part:
+            found.setdefault(point[0], []).append(point)
+    return found
+
+
+def _total(grid: Mapping[str, Any]) -> int:
+    """How many grasps an object's grid asks for."""
+    size = math.prod(len(grid[axis]) for axis in AXES)
+    return min(grid["sample"] or size, size)
+
+
+def _adaptive(recipe: Recipe, entry: ObjectEntry) -> Adaptive | None:
+    own = entry.grid.adaptive if entry.grid else None
+    return own or recipe.grid.adaptive
+
+
+def _test_grasps(recipe: Recipe, n_grasps: int) -> int:
+    return round(recipe.split.test_fraction * n_grasps)
+
+
+def _batches(
+    recipe: Recipe, own: Grids, there: Mapping[str, Sequence[Point]]
+) -> list[dict[str, int]]:
+    """How many grasps of each object every batch to come adds; one batch if none is adaptive."""
+    count = {str(grid["object"]): len(there.get(str(grid["object"]), ())) for grid in own}
+    found: list[dict[str, int]] = []
+    while True:
+        more: dict[str, int] = {}
+        for entry, grid in zip(recipe.objects, own, strict=True):
+            name, adaptive = entry.object_name, _adaptive(recipe, entry)
+            step = total = _total(grid)
+            if adaptive is not None:
+                first = adaptive.first + _test_grasps(recipe, total)
+                step = adaptive.batch if count[name] else first
+            more[name] = max(0, min(step, total - count[name]))
+            count[name] += more[name]
+        if not any(more.values()):
+            return found
+        found.append(more)
+
+
+def _with_choice(
+    recipe: Recipe,
+    own: Grids,
+    more: Mapping[str, int],
+    known: Sequence[Point],
+    labels_of: Labels,
+) -> Grids | None:
+    """The records of the next batch; None where it follows from grasps that are not made yet."""
+    there = _by_object([known])
+    labels: IntArray | None = None
+    found: list[dict[str, Any]] = []
+    for entry, grid in zip(recipe.objects, own, strict=True):
+        name = entry.object_name
+        if _adaptive(recipe, entry) is None:
+            found.append(dict(grid))
+            continue
+        n_there = len(there.get(name, ()))
+        record = {**grid, "sample": n_there + more[name], "tests": 0}
+        if n_there == 0:
+            record["tests"] = _test_grasps(recipe, _total(grid))
+        elif more[name]:
+            labels = labels_of(len(known)) if labels is None else labels
+            if labels is None:
+                return None
+            rows = [k for k, point in enumerate(known) if point[0] == name]
+            record["chosen"] = _choice(recipe.seed, grid, known, rows, labels, more[name])
+        found.append(record)
+    return found
+
+
+def _choice(
+    seed: int,
+    grid: Mapping[str, Any],
+    known: Sequence[Point],
+    rows: Sequence[int],
+    labels: IntArray,
+    count: int,
+) -> list[list[float]]:
+    """The values of ``AXES`` of an object's next grasps, as they stand in the plan.
+
+    An axis counts by the places of its values: they lie as close as whoever listed them finds that
+    it matters, forces by equal factors.
+    """
+    place = [
+        {value: k / max(len(grid[axis]) - 1, 1) for k, value in enumerate(sorted(grid[axis]))}
+        for axis in AXES
+    ]
+
+    def places(points: Sequence[Point]) -> FloatArray:
+        numbers = [[at[value] for at, value in zip(place, p[1:], strict=True)] for p in points]
+        return np.array(numbers, np.float64)
+
+    made = [known[k] for k in rows]
+    taken = set(made)
+    # Ties go by the points' own draws, as do those that are looked at in a large grid.
+    open_to = [point for point in _whole(grid) if point not in taken]
+    open_to = sorted(open_to, key=lambda point: _draw(seed, "sample", point))[:MAX_CANDIDATES]
+    chosen = choose_near_border(places(made), labels[list(rows)], places(open_to), count)
+    return sorted(list(open_to[k][1:]) for k in chosen)
+
+
+def _splits(
+    recipe: Recipe, grids: Sequence[Grids], parts: Sequence[Sequence[Point]]
+) -> dict[Point, str]:
     """The side of each grasp: of each object the test fraction, by the grasps' own draws.
 
-    A grasp that a dataset grows by changes no side of those before it.
+    A grasp that a dataset grows by changes no side of those before it. Once grasps were chosen,
+    those that are left are no random sample of the grid, and none of them is a test grasp.
     """
     sides: dict[Point, str] = {}
     counts: dict[str, tuple[int, int]] = {}  # grasps and test grasps of each object so far
-    for part in parts:
+    only_train: set[str] = set()
+    for grid, part in zip(grids, parts, strict=True):
+        records = {str(record["object"]): record for record in grid}
         for name, points in itertools.groupby(part, key=lambda point: point[0]):
             drawn = sorted(points, key=lambda point: _draw(recipe.seed, "split", point))
             n_before, tests = counts.get(name, (0, 0))
             n_total = n_before + len(drawn)
-            more = round(recipe.split.test_fraction * n_total) - tests
-            more = min(max(more, 0), len(drawn))
+            more = records[name].get("tests", _test_grasps(recipe, n_total) - tests)
+            more = 0 if name in only_train else min(max(more, 0), len(drawn))
             sides |= {point: "test" if k < more else "train" for k, point in enumerate(drawn)}
             counts[name] = n_total, tests + more
+            only_train |= {name} if "tests" in records[name] else set()
     return sides
 
 

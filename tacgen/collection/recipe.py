@@ -59,6 +59,19 @@ from tacgen.sensor.description import (
 )
 
 
+class Adaptive(Section):
+    """Training grasps chosen near the border between success and failure, in batches.
+
+    Test grasps and the ``first`` training grasps are drawn at random. Each further batch follows
+    from the labels of all grasps before it.
+    """
+
+    first: PositiveInt = 30
+    """Training grasps drawn at random before the first choice, per object."""
+    batch: PositiveInt = 20
+    """Training grasps chosen at a time, per object."""
+
+
 class Grid(Section):
     """Axes of the grid of grasps; an axis that is not given has the object's own grasp ranges."""
 
@@ -75,6 +88,16 @@ class Grid(Section):
     """Gripper's angle about z; at 0 the fingers close along world x."""
     sample: PositiveInt | None = None
     """Number of grasps drawn at random from the grid, per object; all if not given."""
+    adaptive: Adaptive | None = None
+    """Choose training grasps of the ``sample`` near the border between success and failure."""
+
+    @model_serializer(mode="wrap")
+    def _as_before(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Without ``adaptive`` what was written before there was that key: the same hash."""
+        found: dict[str, Any] = write(self)
+        if self.adaptive is None:
+            found.pop("adaptive", None)
+        return found
 
 
 class ObjectEntry(Located):
@@ -560,7 +583,13 @@ def load_recipe(name: str | Path) -> Recipe:
     >>> recipe.name, recipe.sensor.name
     ('quickstart', 'gelsight')
     """
-    checks = (_unknown_names, _repeated_objects, _values_out_of_range, _misplaced_cameras)
+    checks = (
+        _unknown_names,
+        _repeated_objects,
+        _values_out_of_range,
+        _values_that_need_others,
+        _misplaced_cameras,
+    )
     recipe = load_checked(Recipe, name, *checks)
     robot = recipe.robot.model_copy(update={"max_force_n": recipe.robot.largest_force_n})
     return recipe.model_copy(update={"robot": robot})
@@ -635,22 +664,38 @@ def _misplaced_cameras(recipe: Recipe, source: YamlSource) -> Iterable[str]:
                 yield source.problem(("scene", "cameras", i), text)
 
 
+def _grids(recipe: Recipe) -> dict[KeyPath, Grid]:
+    """The grids of a recipe by their place in it."""
+    own = {("objects", i, "grid"): entry.grid for i, entry in enumerate(recipe.objects)}
+    found: dict[KeyPath, Grid | None] = {("grid",): recipe.grid, **own}
+    return {key_path: grid for key_path, grid in found.items() if grid is not None}
+
+
 def _values_out_of_range(recipe: Recipe, source: YamlSource) -> Iterable[str]:
     try:
         limit_n = recipe.robot.largest_force_n
     except (PhysicsError, RecipeError):  # which is a problem of its own
         limit_n = math.inf
-    grids: dict[KeyPath, Grid | None] = {("grid",): recipe.grid}
-    grids |= {("objects", i, "grid"): entry.grid for i, entry in enumerate(recipe.objects)}
-    for key_path, grid in grids.items():
-        if grid is None:
-            continue
+    for key_path, grid in _grids(recipe).items():
         for name in ("z_mm", "yaw_rad"):
             if problem := unit_problems(name, np.array(getattr(grid, name) or ())):
                 yield source.problem((*key_path, name), f"is {problem}")
         for k, force_n in enumerate(grid.force_n or ()):
             if problem := force_problem(force_n, limit_n):
                 yield source.problem((*key_path, "force_n", k), problem)
+
+
+def _values_that_need_others(recipe: Recipe, source: YamlSource) -> Iterable[str]:
+    for key_path, grid in _grids(recipe).items():
+        sample, chosen = grid.sample or recipe.grid.sample, grid.adaptive
+        if chosen is not None and sample is None:
+            fix = "needs grid.sample: how many grasps of the grid there are to be, per object"
+            yield source.problem((*key_path, "adaptive"), fix)
+        elif chosen is not None and sample is not None:
+            n_train = sample - round(recipe.split.test_fraction * sample)
+            if chosen.first >= n_train:
+                fix = f"is to be less than the {n_train} training grasps of sample = {sample}"
+                yield source.problem((*key_path, "adaptive", "first"), f"= {chosen.first} {fix}")
     contact = recipe.contact
     if contact.collision_margin_mm and (contact.file or contact.law != "linear_depth"):
         fix = "is of `law: linear_depth` alone; remove it"

@@ -198,6 +198,7 @@ class DatasetFolder:
                 all(isinstance(number, int) and number > 0 for number in numbers)
                 and all(isinstance(plan[name], kind) for name, kind in kinds.items())
                 and all(type(part) is int and part > 0 for part in plan["parts"])
+                and all(isinstance(record, dict) for grid in plan["grids"] for record in grid)
             )
         if not is_whole:
             fix = "give the folder that `tacgen collect --out` made"
@@ -297,9 +298,11 @@ class DatasetFolder:
         """Raise a ``DatasetError`` where a dataset that was ``made`` is not that of ``plan``."""
         roles = changed_roles(made["inputs"], plan["inputs"])
         roles = [role for role in roles if not role.startswith(GRID)]  # see the parts
-        n_parts = len(made["parts"])
-        is_grown = made["parts"] == plan["parts"][:n_parts]
+        # Batches that are not chosen yet have their number of grasps there, but no grid.
+        n_parts = len(made["grids"] or made["parts"])
+        is_grown = made["parts"][:n_parts] == plan["parts"][:n_parts]
         is_grown &= made["grids"] in ([], plan["grids"][:n_parts])
+        is_grown &= made["n_grasps"] < plan["n_grasps"] or made["parts"] == plan["parts"]
         same = ["tacgen_version", "sensor", "pads", "shard_size"]
         same += [] if is_grown else ["n_grasps"]
         same += [] if roles else ["calibration"]
@@ -310,10 +313,12 @@ class DatasetFolder:
         if made["recipe_sha256"] != plan["recipe_sha256"] or is_said or not is_grown:
             lines += self._changed_settings(made, plan, spec.recipe)
         lines += [text for role in roles for text in _changed_input(role, made, plan, spec)]
-        if not lines and (made["parts"] == plan["parts"] or grow):
+        if not lines and is_grown and (made["parts"] == plan["parts"] or grow):
             return
         fix = "give another --out, set these back to what made it, or delete the folder"
-        if not lines:
+        if not lines and not is_grown:
+            lines = ["grid: other grasps there than now, perhaps by an object's own grasp_ranges"]
+        elif not lines:
             more = plan["n_grasps"] - made["n_grasps"]
             lines = [f"the recipe has {more} grasps that are not in the plan of the dataset"]
             fix = "add them with `tacgen collect --grow`, or give another --out"

@@ -30,9 +30,10 @@ def summarize(root: Path | str) -> dict[str, Any]:
     be executed, reasons that differ only in numbers as the first of them. ``validity`` counts the
     frames of executed grasps and those whose images do not show the whole force. ``inputs`` are the
     hashes of all that the shards depend on, ``parts`` the grasps at first and those that each
-    growth added. ``arrays`` are the images and what is kept of the touch: of which shape (without
-    the grasps; those of a camera as ``camera/<name>/…``), and the bytes a grasp takes of all pads,
-    before compression (``raw_bytes``) and in the first shard.
+    growth added, ``chosen`` those that were chosen near the border. ``arrays`` are the images and
+    what is kept of the touch: of which shape (without the grasps; those of a camera as
+    ``camera/<name>/…``), and the bytes a grasp takes of all pads, before compression
+    (``raw_bytes``) and in the first shard.
 
     Raises ``DatasetError`` if there is no finished shard, or the manifest cannot be read.
     """
@@ -70,6 +71,7 @@ def summarize(root: Path | str) -> dict[str, Any]:
         "colors_from": plan.get("colors_from", "not recorded"),
         "inputs": dict(sorted(inputs.items())),
         "parts": [parts[k] for k in sorted(parts)],
+        "chosen": sum(line.n_grasps for line in lines if line.chosen),
         "shards": len(lines),
         "shards_planned": plan.get("n_shards", len(lines)),
         "grasps": n_grasps,
@@ -101,6 +103,20 @@ def _arrays(folder: DatasetFolder, line: ShardLine) -> dict[str, dict[str, Any]]
                 of_name["raw_bytes"] += stored.dtype.itemsize * math.prod(shape)
                 of_name["bytes"] += round(stored.id.get_storage_size() / n_stored)
     return found
+
+
+def sampling_text(summary: Mapping[str, Any]) -> str:
+    """How the grasps came out of the grid, where not all at once and at random; else empty."""
+    parts, n_chosen = summary["parts"], summary["chosen"]
+    if n_chosen:
+        return (
+            f"{n_chosen} training grasps were chosen near the border between success and failure, "
+            "in batches, so rates of success are not the grid's; the other "
+            f"{summary['grasps'] - n_chosen}, all test grasps among them, were drawn at random"
+        )
+    if len(parts) > 1:
+        return f"{parts[0]} grasps at first, then {', then '.join(map(str, parts[1:]))} more"
+    return ""
 
 
 def none_executed(summary: Mapping[str, Any]) -> bool:
@@ -174,7 +190,10 @@ def summary_text(summary: Mapping[str, Any]) -> str:
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     page = templates("tacgen.dataset", escaped=False).get_template("summary.txt")
     kept = arrays_text(summary)
-    text = page.render(summary=summary, table=table, widths=widths, kept=kept).rstrip("\n")
+    sampling = sampling_text(summary)
+    text = page.render(
+        summary=summary, table=table, widths=widths, kept=kept, sampling=sampling
+    ).rstrip("\n")
     return "\n".join([text, *not_executed_lines(summary), *validity_lines(summary)])
 
 
@@ -197,6 +216,7 @@ def write_card(root: Path | str) -> Path:
         first=first,
         until=dataset.until,
         kept=arrays_text(summary),
+        sampling=sampling_text(summary),
     )
     dataset.close()
     replace_page(folder.card_path, text)

@@ -99,7 +99,7 @@ def test_every_mistake_is_listed_at_once_with_its_line(folder):
         recipe_of(folder, "objects: [can]\ngrid: {force: 3, x_mm: 5 mm}\nphysics: {hold: 1}\n")
     text = str(caught.value)
     assert (
-        "r.yaml:4: grid.force is not a known key (did you mean 'force_n'?); known here: force_n"
+        "r.yaml:4: grid.force is not a known key (did you mean 'force_n'?); known here: adaptive"
         in text
     )
     assert "r.yaml:4: grid.x_mm = '5 mm': must be a number, a list, {linspace" in text

@@ -1,0 +1,1 @@
+"""Studies of collecting: how many grasps a given accuracy needs."""
