@@ -666,8 +666,8 @@ def _misplaced_cameras(recipe: Recipe, source: YamlSource) -> Iterable[str]:
 
 def _grids(recipe: Recipe) -> dict[KeyPath, Grid]:
     """The grids of a recipe by their place in it."""
-    own = {("objects", i, "grid"): entry.grid for i, entry in enumerate(recipe.objects)}
-    found: dict[KeyPath, Grid | None] = {("grid",): recipe.grid, **own}
+    found: dict[KeyPath, Grid | None] = {("grid",): recipe.grid}
+    found |= {("objects", i, "grid"): entry.grid for i, entry in enumerate(recipe.objects)}
     return {key_path: grid for key_path, grid in found.items() if grid is not None}
 
 
