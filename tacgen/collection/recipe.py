@@ -232,9 +232,9 @@ class Optics(Section):
     noise: Literal[True, False, "at_load"] = True
     """Add the camera's noise; ``at_load``: only when images are read, for smaller files."""
     device: Annotated[Literal["none", "auto", "cpu", "cuda"], AfterValidator(_device_of)] = "none"
-    """Draw the images of a grasp at once, in Warp (the extra ``batch``), on a GPU (``cuda``), the
-    ``cpu``, or with ``auto`` on a GPU where there is one. Grey levels differ by up to 1 from device
-    to device."""
+    """Draw the images of a grasp at once, in Warp (the extra ``batch``), on a GPU (``cuda``), with
+    ``auto`` on a GPU where there is one, or, to try it, on the ``cpu``, which is slower than
+    ``none``. Grey levels differ by up to 1 from device to device."""
 
     @model_serializer(mode="wrap")
     def _as_before(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from tacgen.core.errors import DatasetError
 from tacgen.core.files import atomic_path
 from tacgen.core.optional_dependencies import require_extra
 from tacgen.core.records import PADS, GraspConfig
-from tacgen.dataset import DatasetFolder
+from tacgen.dataset import DatasetFolder, GraspSample
 from tacgen.dataset.reader import Dataset
 from tacgen.physics.gripper import GripperSpec
 from tacgen.sensor.description import load_sensor
@@ -68,13 +68,18 @@ def write_recording(root: Path, index: int, path: Path) -> None:
         albedo_factor=grasp.grasped.color_rgb,
     )
     with atomic_path(path) as partial, rr.RecordingStream("tacgen") as stream:
-        stream.save(partial, default_blueprint=_layout(grasp.config, list(imprints)))
+        stream.save(
+            partial,
+            default_blueprint=_layout(grasp.config, list(imprints), list(dataset.cameras)),
+        )
         stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         stream.log("scene/object", mesh, static=True)
         for finger in PADS:
             stream.log(f"scene/{finger}/finger", _drawn_finger(gripper, finger), static=True)
+        _log_cameras(stream, dataset)
         for k, time_s in enumerate(dataset.times_s(index)):
             stream.set_time("time", duration=float(time_s))
+            _log_views(stream, sample, k)
             world_object = pose_matrix(grasp.trace.object_pose[k])
             poses = {"scene/object": world_object}
             for pad, found in imprints.items():
@@ -121,15 +126,47 @@ def _drawn_finger(gripper: GripperSpec, pad: str) -> Any:
     return rr.Boxes3D(**in_gel, colors=colors, fill_mode="solid")
 
 
-def _layout(config: GraspConfig, pads: Sequence[str]) -> Any:
+def _log_cameras(stream: Any, dataset: Dataset) -> None:
+    """Where each camera is, and how it sees."""
+    import rerun as rr
+
+    for camera in dataset.cameras.values():
+        pose, place = camera.t_world_camera_mm, f"scene/camera_{camera.name}"
+        placed = rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3])
+        stream.log(place, placed, static=True)
+        pinhole = rr.Pinhole(
+            image_from_camera=camera.k_px,
+            resolution=[camera.width_px, camera.height_px],
+            camera_xyz=rr.ViewCoordinates.RDF,
+            image_plane_distance=60.0,
+        )
+        stream.log(place, pinhole, static=True)
+
+
+def _log_views(stream: Any, sample: GraspSample, frame: int) -> None:
+    """What each camera saw in a frame, as far as the dataset has it."""
+    import rerun as rr
+
+    for name, seen in sample.cameras.items():
+        rgb, depth_mm = seen.rgb, seen.depth_mm
+        if rgb.ndim == 4:
+            rgb, depth_mm = rgb[frame], depth_mm[frame]
+        elif frame != sample.grasp_frame:
+            continue
+        stream.log(f"scene/camera_{name}/rgb", rr.Image(rgb))
+        stream.log(f"scene/camera_{name}/depth", rr.DepthImage(depth_mm, meter=1.0))  # in mm
+
+
+def _layout(config: GraspConfig, pads: Sequence[str], cameras: Sequence[str]) -> Any:
     """The scene beside the images and the forces."""
     import rerun.blueprint as rrb
 
     center_mm = np.array([config.x_mm, config.y_mm, config.z_mm])
     eye = rrb.EyeControls3D(position=center_mm + EYE_MM, look_target=center_mm)
+    pictures = [f"images/{pad}" for pad in pads] + [f"scene/camera_{name}/rgb" for name in cameras]
     views: list[Any] = [
         rrb.Spatial3DView(origin="scene", eye_controls=eye),
-        rrb.Vertical(*(rrb.Spatial2DView(origin=f"images/{pad}") for pad in pads)),
+        rrb.Vertical(*(rrb.Spatial2DView(origin=place) for place in pictures)),
         rrb.TimeSeriesView(origin="forces"),
     ]
     return rrb.Blueprint(rrb.Horizontal(*views, column_shares=[2, 1, 1]), collapse_panels=True)

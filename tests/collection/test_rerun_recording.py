@@ -23,7 +23,9 @@ def data(tmp_path_factory):
     folder = tmp_path_factory.mktemp("rerun")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)  # where the sensor is looked for
-        recipe = load_recipe(write_world(folder, frames="{mode: sequence, count: 3}"))
+        camera = "{name: a, size_px: [24, 30], look_at: {from_mm: [300, 0, 90], to_mm: [0, 0, 90]}}"
+        scene = f"{{frames: all, cameras: [{camera}]}}"
+        recipe = load_recipe(write_world(folder, frames="{mode: sequence, count: 3}", scene=scene))
         collect(recipe, folder / "data", progress=False)
         yield folder / "data"
 
@@ -50,6 +52,14 @@ def test_it_holds_what_the_dataset_and_the_physics_say(data, tmp_path):
     )
     images = np.array(found["/images/left Image:buffer"], np.uint8)
     np.testing.assert_array_equal(images.reshape(pad.rgb.shape), pad.rgb)
+    seen = sample.cameras["a"]
+    images = np.array(found["/scene/camera_a/rgb Image:buffer"], np.uint8)
+    np.testing.assert_array_equal(images.reshape(seen.rgb.shape), seen.rgb)
+    depths_mm = np.array(found["/scene/camera_a/depth DepthImage:buffer"], np.uint8)
+    depths_mm = depths_mm.view(np.float32).reshape(seen.depth_mm.shape)
+    np.testing.assert_array_equal(depths_mm, seen.depth_mm)
+    place_mm = np.array(found["/scene/camera_a Transform3D:translation"]).ravel()
+    np.testing.assert_array_equal(place_mm, [300, 0, 90])
     moved = np.array(found["/scene/object Transform3D:translation"])
     np.testing.assert_allclose(moved, sample.object_pose[:, :3], rtol=1e-6)
     # The fingers stand to either side of the gripper's centre, and close.

@@ -1,6 +1,9 @@
 """A batch on a GPU: ``python -m validation.batch.gpu [OUT.json] [cuda | cpu]``.
 
-Nothing is built there but Warp's kernels. First the same pictures as ``Sensor``, then frames a
+Nothing is built there but Warp's kernels. Beside torch, JAX, numba, SciPy and OpenCV it needs
+warp-lang, trimesh, manifold3d, pydantic, pydantic-core and annotated-types: a machine without a
+network installs their wheels, which ``pip download --no-deps`` fetched elsewhere, by ``pip install
+--no-index --no-deps``. First the same pictures as ``Sensor``, then frames a
 second of whole batches of gap maps, of posed meshes and of meshes that pull: 64, 1024 and 4096
 worlds, 320 × 240 and 640 × 480, with shadows and without. Then Taxim's GPU port (package taxim,
 with torch and JAX) where it is there, an image at a time and 64 at once. Every figure is the median
