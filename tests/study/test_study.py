@@ -56,12 +56,25 @@ def test_the_grids_of_the_table_are_force_and_one_axis_of_places_over_the_object
     study = load_study("paper_table")
     for entry in study.data_recipe(study.rows[0], quick=False).objects:
         own = read_description(find_object_folder(entry.name)).grasp_ranges.axes()
-        assert len(entry.grid.force_n) == 16
+        assert len(entry.grid.force_n) == 601
         assert sorted((len(entry.grid.y_mm), len(entry.grid.z_mm))) == [1, 16]
         assert max(entry.grid.force_n) <= max(own["force_n"])
         for axis in ("y_mm", "z_mm"):
             given = getattr(entry.grid, axis)
             assert min(own[axis]) <= min(given) <= max(given) <= max(own[axis]), (entry.name, axis)
+
+
+def test_few_test_grasps_of_the_table_have_the_force_of_one_of_training():
+    """Along a wall the height changes nothing: these would be the same grasp."""
+    study = load_study("paper_table")
+    planned = plan_recipe(study.data_recipe(study.rows[0], quick=True))
+    for name in {grasp.config.object for grasp in planned}:
+        forces = {
+            side: [g.config.force_n for g in planned if (g.config.object, g.split) == (name, side)]
+            for side in ("train", "test")
+        }
+        # Of 150 among 601: 1 - (1 - 1/601)^150 = 0.22 of the test grasps, to three standard errors.
+        assert np.isin(forces["test"], forces["train"]).mean() < 0.22 + 3 * 0.042
 
 
 @pytest.mark.slow
