@@ -11,6 +11,11 @@ vision (a camera of 96 × 128 px some 500 mm away) and both.
 
 With 143 training and 116 test grasps and two seeds no channel adds anything that this many grasps
 can tell: +1.3 [−1.3, +3.9] % at most, in either engine.
+
+With ``--vision --engines pybullet --grasps 100 --seeds 2 --epochs 10`` (110 training and 90 test
+grasps): touch 70.0 ± 4.4 %, vision alone 47.8 ± 4.1, no better than guessing, for it does not show
+the force; both 78.9 ± 4.1, which is 8.9 [3.3, 15.0] more than touch: the camera shows where the
+object is held. The interval is over grasps; two seeds say little of the spread over seeds.
 """
 
 from __future__ import annotations
