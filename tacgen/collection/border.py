@@ -1,10 +1,10 @@
 """Which grasps to make next: those whose outcome is least certain after the ones that were made.
 
 A Gaussian process of the outcome (±1) over the axes of the grid: where its mean is within a few
-standard deviations of zero the outcome is open. Labels alone serve as well here as slip margins
-(``validation/collection/border.py``), which bend where one kind of slip follows another. The bytes
-of a dataset hang on these choices, so they must be the same on every machine: nothing but sums,
-products, quotients and square roots in a fixed order, which every processor rounds alike.
+standard deviations of zero the outcome is open. It is the sign of the slip margin; the margin's own
+size gave no better choices: it bends where one kind of slip follows another. The bytes of a dataset
+hang on these choices, so they must be the same on every machine: nothing but sums, products,
+quotients and square roots in a fixed order, which every processor rounds alike.
 """
 
 import numpy as np

@@ -209,7 +209,8 @@ def prepare(
             if folder.grids() == grids:
                 raise
             continue  # another process has added the next batch meanwhile
-        return plan.grasps, spec
+        if not plan.n_to_choose or _labels(folder, len(plan.grasps)) is None:
+            return plan.grasps, spec
 
 
 def _labels(folder: DatasetFolder, n_grasps: int) -> IntArray | None:

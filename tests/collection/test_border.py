@@ -242,11 +242,13 @@ def test_a_lost_plan_is_found_again_and_another_batch_size_refused(reference, wo
     folder.plan_path.unlink()
     assert collect(recipe, tmp_path / "out", progress=False).made == []
     assert folder.plan_path.read_bytes() == plan
+    # Begun with another size of the batches.
+    prepare(recipe, tmp_path / "begun")
     other = world.read_text().replace("batch: 4", "batch: 3")
     world.write_text(other)
     with pytest.raises(DatasetError, match=r"grid.adaptive.batch: 4 there, 3 now"):
-        prepare(load_recipe(world), tmp_path / "out")
-    # More of them: what is there stays.
+        prepare(load_recipe(world), tmp_path / "begun")
+    # More grasps: what is there stays.
     world.write_text(other.replace("sample: 20", "sample: 26"))
     grasps, spec = prepare(load_recipe(world), tmp_path / "out", grow=True)
     assert spec.parts == (12, 4, 4, 3, 3)

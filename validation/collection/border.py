@@ -8,12 +8,12 @@ classifiers of the commanded parameters learn from what they took: the trees of 
 ``border.png``: accuracy against the number of grasps, and what part of the random grasps the others
 need for the same accuracy.
 
-The method was chosen on sugar_box and spatula; the objects below are those of ``stability``.
+The method was chosen on sugar_box; the objects below are those of ``stability``.
 """
 
 import argparse
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -45,6 +45,7 @@ GRIDS: dict[str, dict[str, Any]] = {
 }
 """First and last value of each axis and how many there are; 14 forces, by equal factors."""
 N_FORCES = 14
+ALL = "mean of the objects"
 AXES = ("force_n", "y_mm", "z_mm")
 TEST_PART = 3  # one of so many grasps of the grid
 COUNTS = (30, 50, 70, 90, 130, 170, 230, 310)
@@ -130,6 +131,17 @@ def share_needed(random: NDArray[np.float64], adaptive: NDArray[np.float64], cou
     return float(COUNTS[k - 1] + rise * (COUNTS[k] - COUNTS[k - 1])) / count
 
 
+def mean_of(of_objects: Sequence[dict[str, dict[str, list[float]]]]) -> dict[str, Any]:
+    """The mean accuracies over objects."""
+    return {
+        sampling: {
+            kind: np.mean([one[sampling][kind] for one in of_objects], axis=0).tolist()
+            for kind in kinds
+        }
+        for sampling, kinds in of_objects[0].items()
+    }
+
+
 def summary(of_seeds: list[dict[str, dict[str, list[float]]]]) -> dict[str, Any]:
     """Means, their standard errors and the share of grasps that is needed, with intervals."""
     rng = np.random.default_rng(0)
@@ -189,9 +201,14 @@ def main() -> None:
     folder.mkdir(parents=True, exist_ok=True)
     map_in_processes(partial(simulated, folder=folder), names, method="spawn")
     found: dict[str, Any] = {}
-    for name in names:
-        one = partial(accuracies, name, folder=folder)
-        found[name] = summary(map_in_processes(one, range(options.seeds), method="spawn"))
+    scores: dict[str, list[Any]] = {}
+    for name in [*names, ALL]:
+        if name == ALL:
+            scores[ALL] = [mean_of(of_objects) for of_objects in zip(*scores.values(), strict=True)]
+        else:
+            one = partial(accuracies, name, folder=folder)
+            scores[name] = map_in_processes(one, range(options.seeds), method="spawn")
+        found[name] = summary(scores[name])
         shares = {k: [v[f"share_of_{n}"] for n in READ_AT] for k, v in found[name].items()}
         print_status(f"{name} {json.dumps(shares)}")
     record = {"counts": COUNTS, "seeds": options.seeds, "objects": found}
