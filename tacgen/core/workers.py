@@ -95,6 +95,11 @@ class _Worker:
     task: int = -1  # none
     item: int = -1
     last_message_s: float = 0.0
+    waited_s: float = 0.0  # for a core, until its last message
+
+    def hears(self, now_s: float) -> None:
+        """Its last message came, or its task went, at ``now_s``."""
+        self.last_message_s, self.waited_s = now_s, waited_for_a_core_s(self.process.pid)
 
 
 @dataclass
@@ -219,6 +224,15 @@ def available_cores() -> int:
     return len(affinity(0)) if affinity else os.cpu_count() or 1
 
 
+def waited_for_a_core_s(pid: int | None) -> float:
+    """How long a process was ready to run while others had the cores; 0 where nothing says so."""
+    try:
+        figures = Path(f"/proc/{pid}/schedstat").read_text(encoding="ascii").split()
+    except OSError:  # it is gone, or the kernel does not count
+        return 0.0
+    return int(figures[1]) / 1e9
+
+
 def run_tasks(
     tasks: Sequence[int], make_job: JobFactory, *, workers: int, item_limit_s: float
 ) -> Iterator[Event]:
@@ -296,7 +310,8 @@ def _start(make_job: JobFactory) -> _Worker:
 
 def _assign(worker: _Worker, progress: _Progress) -> None:
     worker.task = progress.queue.popleft()
-    worker.item, worker.last_message_s = -1, progress.awake_s
+    worker.item = -1
+    worker.hears(progress.awake_s)
     with contextlib.suppress(BrokenPipeError):  # it died idle; its death is accounted for
         worker.connection.send((worker.task, progress.crashed.get(worker.task, {})))
 
@@ -305,7 +320,8 @@ def _read_messages(worker: _Worker, progress: _Progress) -> Iterator[Event]:
     try:
         while worker.task >= 0 and worker.connection.poll():
             kind, item, value = worker.connection.recv()
-            task, worker.last_message_s = worker.task, progress.awake_s
+            task = worker.task
+            worker.hears(progress.awake_s)
             if kind == "error":
                 raise TacgenError(value)
             if kind == "bug":
@@ -324,6 +340,10 @@ def _read_messages(worker: _Worker, progress: _Progress) -> Iterator[Event]:
 
 def _end_if_hung(worker: _Worker, progress: _Progress, limit_s: float) -> Iterator[Event]:
     silent_s = progress.awake_s - worker.last_message_s
+    if worker.task < 0 or silent_s <= limit_s:
+        return
+    # On a busy machine a worker that waits for a core does not hang.
+    silent_s -= waited_for_a_core_s(worker.process.pid) - worker.waited_s
     if worker.item >= 0 and silent_s > limit_s:
         worker.process.kill()
         worker.process.join()

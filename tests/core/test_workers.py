@@ -1,6 +1,7 @@
 """The supervisor: nothing is lost when a worker dies, hangs or fails."""
 
 import contextlib
+import itertools
 import os
 import pickle
 import signal
@@ -60,6 +61,8 @@ class Script:
             time.sleep(60)
         elif what == "brief":
             time.sleep(0.01)
+        elif what == "long":
+            time.sleep(3.0)
         elif what == "slow":
             time.sleep(0.5)
         elif what == "wrong_input":
@@ -91,6 +94,40 @@ def test_an_item_that_takes_its_process_down_is_left_out(tmp_path):
     assert [event.value for event in events if event.kind == "crashed"] == [
         "the simulator died of SIGSEGV"
     ]
+
+
+def burn(seconds):
+    end_s = time.process_time() + seconds
+    while time.process_time() < end_s:
+        pass
+
+
+@pytest.mark.skipif(not Path("/proc/self/schedstat").exists(), reason="the kernel does not count")
+def test_waiting_for_a_core_is_no_time_of_a_process():
+    """Four that share a core wait for three quarters of the time."""
+    core = min(os.sched_getaffinity(0))
+    crowd = [Process(target=burn, args=(60.0,)) for _ in range(4)]
+    for one in crowd:
+        one.start()
+        os.sched_setaffinity(one.pid, {core})
+    try:
+        began_s, before_s = time.monotonic(), workers.waited_for_a_core_s(crowd[0].pid)
+        time.sleep(2.0)
+        share = (workers.waited_for_a_core_s(crowd[0].pid) - before_s) / (
+            time.monotonic() - began_s
+        )
+        assert 0.6 < share < 1.0  # and longer where others want that core too
+    finally:
+        for one in crowd:
+            one.kill()
+            one.join()
+
+
+def test_an_item_that_waits_for_a_core_does_not_hang(tmp_path, monkeypatch):
+    waits_s = itertools.count(step=10.0)
+    monkeypatch.setattr(workers, "waited_for_a_core_s", lambda _pid: next(waits_s))
+    done, _ = results(tmp_path, {6: "long"}, limit_s=1.0)
+    assert done[1] == items_of(1)
 
 
 def test_an_item_that_hangs_is_left_out(tmp_path):
