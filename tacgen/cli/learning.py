@@ -138,6 +138,52 @@ def predict(
 
 
 @common.app.command(rich_help_panel=common.NETWORKS)
+def regrasp(
+    run: Annotated[Path, Argument(help="Folder of a run that `tacgen train` wrote.")],
+    recipe: common.RecipeArgument,
+    out: common.ResultsOption,
+    regrasps: Annotated[int, Option(min=0, max=9, help="Regrasps allowed before the lift.")] = 3,
+    episodes: Annotated[int, Option(min=2, help="Episodes of each object.")] = 40,
+    worlds: Annotated[int, Option(min=2, help="Simulated worlds to rate grasps by.")] = 32,
+    drop_cost: Annotated[float, Option(help="Cost of a lift that fails.")] = 1.0,
+    regrasp_cost: Annotated[float, Option(help="Cost of a regrasp.")] = 0.1,
+    seed: Annotated[
+        int | None, Option(min=0, help="Seed of episodes and worlds; else the recipe's.")
+    ] = None,
+    workers: common.WorkersOption = common.AUTO,
+    json_output: common.JsonFlag = False,
+) -> None:
+    """Grasp, look, then lift or regrasp by a run's network; against no touch, chance and oracle."""
+    from tacgen.learning import require_learning_extra
+
+    require_learning_extra()
+    from tacgen.collection.recipe import load_recipe
+    from tacgen.core.progress import progress_counter
+    from tacgen.envs.regrasp import PAGE
+    from tacgen.envs.regrasp import regrasp as play
+    from tacgen.envs.regrasp_page import regrasp_lines, write_regrasp_page
+    from tacgen.envs.regrasp_policies import Costs
+
+    costs = Costs(drop_cost, regrasp_cost)
+    with progress_counter("world") as show:
+        result, played = play(
+            run,
+            load_recipe(recipe),
+            out,
+            costs=costs,
+            regrasps=regrasps,
+            episodes=episodes,
+            worlds=worlds,
+            seed=seed,
+            workers=workers,
+            show=show,
+        )
+    write_regrasp_page(out / PAGE, result, played)
+    common.print_result(result, regrasp_lines(result), json_output)
+    common.hand_over(f"open {out / PAGE} in a browser")
+
+
+@common.app.command(rich_help_panel=common.NETWORKS)
 def study(
     recipe: Annotated[str, Argument(help="Study: YAML, or a shipped one, such as paper_table.")],
     out: Annotated[Path, Option(help="Folder for datasets, runs and the table.")],
