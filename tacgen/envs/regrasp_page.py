@@ -212,7 +212,7 @@ def _film(played: Played, allowed: int) -> list[PageSection]:
 
 
 _NOTE = (
-    "The last image that the network sees of each grasp; lines show how far markers have moved, "
+    "The last image that the network sees of each grasp; arrows show how far markers have moved, "
     "drawn larger."
 )
 
