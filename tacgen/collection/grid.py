@@ -3,7 +3,7 @@
 import hashlib
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -96,7 +96,8 @@ def grown_plan(
     to_come = _batches(recipe, own, _by_object(parts))
     if to_come:
         known = [point for part in parts for point in part]
-        batch = _with_choice(recipe, own, to_come[0], known, labels_of)
+        sides = _splits(recipe, grids, parts)
+        batch = _with_choice(recipe, own, to_come[0], known, sides, labels_of)
         if batch is not None:
             grids, to_come = [*grids, batch], to_come[1:]
             parts = _parts(recipe.seed, grids)
@@ -252,9 +253,13 @@ def _with_choice(
     own: Grids,
     more: Mapping[str, int],
     known: Sequence[Point],
+    sides: Mapping[Point, str],
     labels_of: Labels,
 ) -> Grids | None:
-    """The records of the next batch; None where it follows from grasps that are not made yet."""
+    """The records of the next batch; None where it follows from grasps that are not made yet.
+
+    What test grasps came to is not looked at: it would leak into the training set.
+    """
     there = _by_object([known])
     labels: IntArray | None = None
     found: list[dict[str, Any]] = []
@@ -271,8 +276,11 @@ def _with_choice(
             labels = labels_of(len(known)) if labels is None else labels
             if labels is None:
                 return None
-            rows = [k for k, point in enumerate(known) if point[0] == name]
-            record["chosen"] = _choice(recipe.seed, grid, known, rows, labels, more[name])
+            own_rows = [k for k, point in enumerate(known) if point[0] == name]
+            rows = [k for k in own_rows if sides[known[k]] == "train"]
+            taken = {known[k] for k in own_rows}
+            made = [known[k] for k in rows]
+            record["chosen"] = _choice(recipe.seed, grid, taken, made, labels[rows], more[name])
         found.append(record)
     return found
 
@@ -280,13 +288,14 @@ def _with_choice(
 def _choice(
     seed: int,
     grid: Mapping[str, Any],
-    known: Sequence[Point],
-    rows: Sequence[int],
+    taken: Collection[Point],
+    made: Sequence[Point],
     labels: IntArray,
     count: int,
 ) -> list[list[float]]:
     """The values of ``AXES`` of an object's next grasps, as they stand in the plan.
 
+    They follow from the ``labels`` of those ``made``, and are none of those ``taken``.
     An axis counts by the places of its values: they lie as close as whoever listed them finds that
     it matters, forces by equal factors.
     """
@@ -299,12 +308,10 @@ def _choice(
         numbers = [[at[value] for at, value in zip(place, p[1:], strict=True)] for p in points]
         return np.array(numbers, np.float64)
 
-    made = [known[k] for k in rows]
-    taken = set(made)
     # Ties go by the points' own draws, as do those that are looked at in a large grid.
     open_to = [point for point in _whole(grid) if point not in taken]
     open_to = sorted(open_to, key=lambda point: _draw(seed, "sample", point))[:MAX_CANDIDATES]
-    chosen = choose_near_border(places(made), labels[list(rows)], places(open_to), count)
+    chosen = choose_near_border(places(made), labels, places(open_to), count)
     return sorted(list(open_to[k][1:]) for k in chosen)
 
 

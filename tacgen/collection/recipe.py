@@ -63,7 +63,7 @@ class Adaptive(Section):
     """Training grasps chosen near the border between success and failure, in batches.
 
     Test grasps and the ``first`` training grasps are drawn at random. Each further batch follows
-    from the labels of all grasps before it.
+    from the labels of all training grasps before it.
     """
 
     first: PositiveInt = 30

@@ -81,6 +81,19 @@ def test_test_grasps_are_drawn_at_random_before_anything_is_known():
     assert by_force.grasps[80:] != by_place.grasps[80:]
 
 
+def test_what_test_grasps_come_to_has_no_part_in_the_choice():
+    recipe = recipe_of()
+    first = grown_plan(recipe, ())
+    labels = np.array([holds(one.config) for one in first.grasps])
+    is_test = np.array([one.split == "test" for one in first.grasps])
+    plans = [
+        grown_plan(recipe, json.loads(json.dumps(first.grids)), lambda n, given=given: given[:n])
+        for given in (labels, np.where(is_test, 1 - labels, labels), np.where(is_test, -1, labels))
+    ]
+    assert plans[0] == plans[1] == plans[2]
+    assert len(plans[0].grasps) == 120
+
+
 def test_test_grasps_fall_evenly_on_the_grid():
     """Over many seeds each quarter of the forces has a quarter of them, as binomial draws do."""
     forces = sorted({g.config.force_n for g in grown_plan(recipe_of(), ()).grasps})
