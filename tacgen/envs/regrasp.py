@@ -53,6 +53,7 @@ WORLDS, RESULT, PAGE = "worlds.jsonl", "regrasp.json", "index.html"
 GRASP_LIMIT_S = 120.0  # of one grasp with its images, which takes 0.2 to 1 s
 MOST_TEST_LIFT_MM = 10.0
 """Height of a look, from which a drop harms nothing and the object can still be set down."""
+DROPS = ("translational_slip", "rotational_slip")  # how a lift fails
 MOST_TOPPLED = 50  # draws for each one in which the object stands; then the recipe is at fault
 
 
@@ -76,6 +77,11 @@ class Tried:
     probability: float
     outcome: str
     look_rise_mm: float = 0.0
+
+    @property
+    def was_seen(self) -> bool:
+        """Whether there was a look: the grasp was executed."""
+        return self.outcome in ("held", *DROPS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +143,7 @@ def regrasp(
     (95 %, bootstrap over episodes), ``mean_regrasps``, ``drops`` (episodes that ended in a failed
     lift, by failure mode) and ``not_executed``; ``by_object``: by name the ``success`` of each
     policy after all regrasps, and of the first grasps; ``network``: its accuracy on the looks of
-    the episodes, with the share that holds.
+    the episodes (grasps that were executed), with the share of them that holds.
 
     Raises ``LearningError`` if the run lacks an object or saw other images than the recipe gives,
     an object has a single grasp or does not stand, or the looks show the outcome.
@@ -233,8 +239,13 @@ def _checked_pad(run: Path, recipe: Recipe) -> str:
             f"{run}: was trained on images of another {', '.join(other)} than those of the recipe "
             f"{recipe.name}; collect its dataset with the recipe's sensor, optics and frames"
         )
+    if "vision" in trained.input.channels:
+        problems.append(
+            f"{run}: its network sees a camera, and looks before a lift are of touch alone; train "
+            "one without the channel vision"
+        )
     kept = {"markers": recipe.dataset.markers, "force_field": recipe.dataset.force_field}
-    lacking = [c for c in trained.input.channels if c != "image" and not kept[c]]
+    lacking = [name for name in kept if name in trained.input.channels and not kept[name]]
     if lacking:
         problems.append(
             f"{run}: its network also sees {', '.join(lacking)}; set dataset.{lacking[0]} in the "
@@ -515,15 +526,14 @@ def _scores(played: Played, regrasps: int, seed: int) -> dict[str, Any]:
     for key, listed in episodes.items():
         value, resampled = rates(held[key])
         failed = [one.outcome for one in listed if not one.held]
-        modes = ("translational_slip", "rotational_slip")
         policies.setdefault(key[0], []).append(
             {
                 "success": Rate.of(float(value[0]), resampled).as_json(),
                 "share_of_gain": share(key, start),
                 "share_beyond_blind": share(key, held["blind", key[1]]),
                 "mean_regrasps": float(np.mean([len(one.steps) - 1 for one in listed])),
-                "drops": {mode: failed.count(mode) for mode in modes},
-                "not_executed": sum(outcome not in modes for outcome in failed),
+                "drops": {mode: failed.count(mode) for mode in DROPS},
+                "not_executed": sum(outcome not in DROPS for outcome in failed),
             }
         )
     by_object = {
@@ -537,7 +547,10 @@ def _scores(played: Played, regrasps: int, seed: int) -> dict[str, Any]:
 def _network_scores(
     drawn: Sequence[Drawn], tried: Mapping[Drawn, Sequence[Tried]]
 ) -> dict[str, float]:
-    rows = [one for world in drawn if world.is_episode for one in tried[world]]
+    rows = [one for world in drawn if world.is_episode for one in tried[world] if one.was_seen]
+    if not rows:
+        msg = "no grasp of the episodes could be executed; `tacgen collect` says why"
+        raise LearningError(msg)
     holds = np.array([one.outcome == "held" for one in rows])
     sure = np.array([one.probability >= 0.5 for one in rows])
     return {"accuracy": float((sure == holds).mean()), "holds": float(holds.mean())}

@@ -125,7 +125,7 @@ def write_regrasp_page(path: Path, result: Mapping[str, Any], played: Played) ->
             "to the grasp that holds in most of these worlds, and looks at nothing. The oracle "
             "knows which grasps hold.",
             f"On these looks the network is right in {percent(result['network']['accuracy'])} of "
-            f"all grasps, of which {percent(result['network']['holds'])} hold.",
+            f"all grasps that were executed, of which {percent(result['network']['holds'])} hold.",
         ),
     ]
     share = touch[-1]["share_of_gain"]

@@ -14,9 +14,21 @@ from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import load_recipe
 from tacgen.collection.run import collect
 from tacgen.core.errors import LearningError
-from tacgen.envs.regrasp import RESULT, WORLDS, _grasps_of, look_rise_mm, regrasp, standing_seeds
+from tacgen.envs.regrasp import (
+    RESULT,
+    WORLDS,
+    Drawn,
+    Tried,
+    _checked_pad,
+    _grasps_of,
+    _network_scores,
+    look_rise_mm,
+    regrasp,
+    standing_seeds,
+)
 from tacgen.envs.regrasp_page import told_episodes, write_regrasp_page
 from tacgen.envs.regrasp_policies import POLICIES, Costs
+from tacgen.learning.run_folder import RunFolder
 from tacgen.learning.train import train
 from tacgen.learning.training_recipe import TrainRecipe
 from tests.small_world import write_world
@@ -157,6 +169,28 @@ def test_a_run_of_other_images_or_objects_is_refused(world, tmp_path, section, t
     with pytest.raises(LearningError, match=says):
         regrasp(world / "run", recipe, tmp_path / "out", **FEW)
     assert not (tmp_path / "out").exists()
+
+
+def test_a_run_that_sees_a_camera_is_refused(world, tmp_path):
+    shutil.copytree(world / "run", tmp_path / "run")
+    path = RunFolder(tmp_path / "run").plan_path
+    plan = json.loads(path.read_text())
+    plan["recipe"]["input"]["channels"] = ["image", "vision"]
+    path.write_text(json.dumps(plan))
+    with pytest.raises(LearningError, match="sees a camera.*without the channel vision"):
+        _checked_pad(tmp_path / "run", load_recipe(world / "small.yaml"))
+
+
+def test_the_networks_accuracy_is_that_of_what_it_saw():
+    """Two of three looks are right; grasps that show nothing would have made it 5 of 6."""
+    listed = [Tried(0.9, "held"), Tried(0.2, "rotational_slip"), Tried(0.7, "translational_slip")]
+    listed += [Tried(0.0, status) for status in ("no_contact", "unreachable", "crashed")]
+    worlds = {Drawn(0, 1, True): listed, Drawn(0, 2, False): [Tried(0.1, "held")] * 6}
+    scores = _network_scores(list(worlds), worlds)
+    assert scores == {"accuracy": pytest.approx(2 / 3), "holds": pytest.approx(1 / 3)}
+    nothing = {Drawn(0, 1, True): listed[3:]}
+    with pytest.raises(LearningError, match="no grasp of the episodes could be executed"):
+        _network_scores(list(nothing), nothing)
 
 
 def test_a_look_that_shows_how_the_lift_ends_is_refused(tmp_path):
