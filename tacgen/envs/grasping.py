@@ -39,9 +39,10 @@ class TactileEnv(gymnasium.Env[Observation, Action]):
 
     An observation is a dictionary. Of each sensing pad, such as ``left``, it has ``left_rgb``,
     (H, W, 3), or (T, H, W, 3) where the recipe asks for a sequence, and ``left_markers_mm`` and
-    ``left_force_field_n`` where its ``dataset`` asks for them, as in a shard. ``gripper`` (6,) is
-    what the gripper was commanded to (force_n, x_mm, y_mm, z_mm, yaw_rad) and the distance between
-    its pads in mm, the full opening where they hold nothing.
+    ``left_force_field_n`` where its ``dataset`` asks for them, as in a shard; of each camera, such
+    as ``front``, ``camera_front_rgb`` and ``camera_front_depth_mm``. ``gripper`` (6,) is what the
+    gripper was commanded to (force_n, x_mm, y_mm, z_mm, yaw_rad) and the distance between its pads
+    in mm, the full opening where they hold nothing.
 
     ``info`` has what a robot could not know: the ``object``, what was ``drawn`` of it and
     ``commanded``, ``status`` (why, if the grasp was not executed, in ``reason``) and, after a lift,
@@ -144,7 +145,7 @@ class TactileEnv(gymnasium.Env[Observation, Action]):
         if self.world.recipe.frames.mode == "single":
             found = {name: frames[0] for name, frames in found.items()}
         for camera, view in self._touch.cameras.items():
-            found |= {f"{camera}_{name}": getattr(view, name) for name in SEEN}
+            found |= {f"camera_{camera}_{name}": getattr(view, name).copy() for name in SEEN}
         trace, opening_mm = self._touch.trace, self._stroke_mm
         if trace.pad_distance_mm is not None:
             opening_mm = float(trace.pad_distance_mm[trace.grasp_frame].sum())

@@ -10,6 +10,7 @@ import tacgen
 from tacgen.collection.recipe import Recipe
 from tacgen.core.errors import LearningError, RecipeError
 from tacgen.envs.world import grasp_values
+from tacgen.sensor.description import load_sensor
 from tests.envs.test_world import engine, small_recipe  # noqa: F401
 
 gymnasium = pytest.importorskip("gymnasium")
@@ -324,7 +325,7 @@ def test_importing_tacgen_after_gymnasium_registers_them():
 
 @pytest.mark.parametrize("frames", ["grasp", "all"])
 def test_cameras_show_the_object_before_the_grasp_and_the_gripper_after(frames):
-    view = {"name": "front", "size_px": [36, 48]}
+    view = {"name": "left", "size_px": [36, 48]}  # of a stereo pair; the pad is another
     view |= {"look_at": {"from_mm": [300, -300, 250], "to_mm": [0, 0, 40]}}
     recipe = small_recipe(
         dataset=BARE,
@@ -334,10 +335,11 @@ def test_cameras_show_the_object_before_the_grasp_and_the_gripper_after(frames):
     env = make(GRASP, recipe)
     check_env(env, skip_render_check=True)
     before, _ = env.reset(options={"grasp": 4})
-    assert before["front_rgb"].shape == ((3,) if frames == "all" else ()) + (36, 48, 3)
+    assert before["left_rgb"].shape == (3, *load_sensor(recipe.sensor).shape_px, 3)
+    assert before["camera_left_rgb"].shape == ((3,) if frames == "all" else ()) + (36, 48, 3)
     after, _, _, _, info = env.step(before["gripper"][:5])
     assert info["status"] == "executed"
     last = (..., slice(None), slice(None))
-    nearer = after["front_depth_mm"][last] < before["front_depth_mm"][last] - 5.0
+    nearer = after["camera_left_depth_mm"][last] < before["camera_left_depth_mm"][last] - 5.0
     assert nearer.reshape(-1, 36, 48)[-1].sum() > 20  # the gripper, before the table and the object
     env.close()
