@@ -10,9 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.collection.recipe import Recipe
-from tacgen.collection.scene import FINGER_COLOR, PAD_COLOR, TABLE_COLOR, pose_matrix, unit_box
+from tacgen.collection.scene import (
+    FINGER_COLOR,
+    PAD_COLOR,
+    TABLE_COLOR,
+    pad_distances_mm,
+    pose_matrix,
+    unit_box,
+)
 from tacgen.core.arrays import FloatArray
-from tacgen.core.records import PADS, Camera, GraspObject, GraspTrace
+from tacgen.core.records import Camera, GraspObject, GraspTrace
 from tacgen.dataset import CameraSample
 from tacgen.dataset.schema import SEGMENTS
 from tacgen.objects.pinhole import Solid, pinhole_view
@@ -54,12 +61,12 @@ def scene_solids(
     pose, surface = pose_matrix(trace.object_pose[frame]), grasped.surface
     vertices_mm = _moved(surface.vertices_mm, pose)
     yield Solid(vertices_mm, surface.faces, grasped.color_rgb, SEGMENTS.index("object"))
-    if trace.gripper_pose is None or trace.pad_distance_mm is None:
+    if trace.gripper_pose is None:
         return
     pose, size = pose_matrix(trace.gripper_pose[frame]), gripper.pad
     half_mm, center_mm = gripper.hand.box.half_and_center_mm
     yield _box(pose, 2 * half_mm, center_mm, HAND_COLOR, "gripper")
-    for pad, distance_mm in zip(PADS, trace.pad_distance_mm[frame], strict=True):
+    for pad, distance_mm in pad_distances_mm(trace, frame).items():
         side = gripper.side(pad).side
         gel_mm = np.array([side * distance_mm, 0.0, 0.0])
         behind_mm = (side * (distance_mm + size.depth_mm / 2), 0.0, 0.0)

@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 from tacgen.collection.grid import grown_plan
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import load_recipe
-from tacgen.collection.scene import finger_boxes, pose_matrix
+from tacgen.collection.scene import finger_boxes, pad_distances_mm, pose_matrix
 from tacgen.contact.gel import gel_map_mm, pixel_centers_mm
 from tacgen.core.errors import DatasetError
 from tacgen.core.files import atomic_path
 from tacgen.core.optional_dependencies import require_extra
-from tacgen.core.records import PADS, GraspConfig
+from tacgen.core.records import PADS, GraspConfig, GraspTrace
 from tacgen.dataset import DatasetFolder, GraspSample
 from tacgen.dataset.reader import Dataset
+from tacgen.physics import frames
 from tacgen.physics.gripper import GripperSpec
 from tacgen.sensor.description import load_sensor
 
@@ -59,7 +60,6 @@ def write_recording(root: Path, index: int, path: Path) -> None:
     x_mm, y_mm = np.meshgrid(*(axis[::every] for axis in pixel_centers_mm(sensor)))
     rest_mm, triangles = gel_map_mm(sensor)[::every, ::every], _grid_triangles(*x_mm.shape)
     gripper = pipeline.simulator.robot.gripper
-    sensing = next(iter(imprints))
     surface = grasp.grasped.surface
     mesh = rr.Mesh3D(
         vertex_positions=surface.vertices_mm,
@@ -80,11 +80,10 @@ def write_recording(root: Path, index: int, path: Path) -> None:
         for k, time_s in enumerate(dataset.times_s(index)):
             stream.set_time("time", duration=float(time_s))
             _log_views(stream, sample, k)
-            world_object = pose_matrix(grasp.trace.object_pose[k])
-            poses = {"scene/object": world_object}
+            poses = {f"scene/{pad}": _gel_pose(gripper, grasp.trace, k, pad) for pad in PADS}
+            poses["scene/object"] = pose_matrix(grasp.trace.object_pose[k])
             for pad, found in imprints.items():
-                contact, stored = grasp.trace.frames[pad][k], sample.pads[pad]
-                poses[f"scene/{pad}"] = world_object @ np.linalg.inv(contact.pose_gel_object)
+                stored = sample.pads[pad]
                 depth_mm = found[k].depth_map_mm(sensor)[::every, ::every]
                 points_mm = np.stack([x_mm, y_mm, rest_mm - depth_mm], axis=-1).reshape(-1, 3)
                 colors = stored.rgb[k][::every, ::every].reshape(-1, 3)
@@ -96,24 +95,17 @@ def write_recording(root: Path, index: int, path: Path) -> None:
                 forces_n = [stored.force_normal_n[k], *stored.force_shear_n[k]]
                 for name, force_n in zip(FORCES, forces_n, strict=True):
                     stream.log(f"forces/{pad}/{name}", rr.Scalars(force_n))
-            for finger in PADS:
-                other = _other_pad(
-                    gripper, grasp.config, poses[f"scene/{sensing}"], sensing, finger
-                )
-                poses.setdefault(f"scene/{finger}", other)
             for name, pose in poses.items():
                 stream.log(name, rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
 
 
-def _other_pad(
-    gripper: GripperSpec, config: GraspConfig, pose: NDArray[np.float64], pad: str, other: str
-) -> NDArray[np.float64]:
-    """Where the ``other`` gel is if that of ``pad`` is at ``pose``: half a turn away."""
-    half_turn = np.diag([-1.0, -1.0, 1.0, 1.0])
-    half_turn[:2, 3] = 2 * config.x_mm, 2 * config.y_mm
-    turned = half_turn @ pose
-    turned[:3, :3] = pose[:3, :3] @ gripper.side(pad).gel_axes.T @ gripper.side(other).gel_axes
-    return turned
+def _gel_pose(gripper: GripperSpec, trace: GraspTrace, frame: int, pad: str) -> NDArray[np.float64]:
+    """Where a pad's gel is in the world in a frame of an executed grasp."""
+    assert trace.gripper_pose is not None
+    side = gripper.side(pad)
+    place_mm = (side.side * pad_distances_mm(trace, frame)[pad], 0.0, 0.0)
+    in_gripper = frames.pose(side.gel_axes, place_mm)
+    return np.asarray(pose_matrix(trace.gripper_pose[frame]) @ in_gripper)
 
 
 def _drawn_finger(gripper: GripperSpec, pad: str) -> Any:

@@ -47,6 +47,16 @@ def pose_matrix(pose: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(frames.pose(frames.rotation_of(pose[3:]), pose[:3]))
 
 
+def pad_distances_mm(trace: GraspTrace, frame: int) -> dict[str, float]:
+    """Distance of each gel from the gripper's middle, as drawn in a frame of an executed grasp.
+
+    Fingers that lost their object go through each other in the physics; real ones meet.
+    """
+    assert trace.pad_distance_mm is not None
+    distances_mm = np.maximum(trace.pad_distance_mm[frame], 0.0)
+    return dict(zip(PADS, distances_mm.tolist(), strict=True))
+
+
 def _openings_mm(
     config: GraspConfig, trace: GraspTrace, object_pose: NDArray[np.float64], frame: int
 ) -> dict[str, float]:

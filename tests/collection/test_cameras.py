@@ -1,6 +1,7 @@
 """Cameras of a recipe: where they are, what they see of a grasp, and what is refused."""
 
 import math
+from dataclasses import replace
 from typing import get_args
 
 import h5py
@@ -172,6 +173,26 @@ def test_pads_are_drawn_where_their_gels_press(tmp_path, engine, robot):
             along_mm = (drawn - gel[:3, 3]) @ gel[:3, 2]
             assert along_mm.max() == pytest.approx(0, abs=1e-6)
             assert along_mm.min() == pytest.approx(-gripper.pad.depth_mm, abs=1e-6)
+
+
+def test_fingers_that_lost_their_object_meet_and_go_no_farther(tmp_path):
+    recipe = load_recipe(write_world(tmp_path, **TIMES))
+    with GraspPipeline(recipe) as pipeline:
+        grasp = pipeline.simulate(plan_recipe(recipe)[0])
+        gripper = pipeline.simulator.robot.gripper
+    trace = replace(grasp.trace, pad_distance_mm=np.full((4, 2), -25.0))
+    gripper_in_world = pose_matrix(trace.gripper_pose[3])
+    for pad in PADS:
+        number = SEGMENTS.index(f"{pad} pad")
+        (drawn,) = [
+            one.vertices_mm
+            for one in scene_solids(grasp.grasped, trace, 3, gripper)
+            if one.segment == number
+        ]
+        along_mm = (drawn - gripper_in_world[:3, 3]) @ gripper_in_world[:3, 0]
+        outward_mm = gripper.side(pad).side * along_mm
+        assert outward_mm.min() == pytest.approx(0.0, abs=1e-6)
+        assert outward_mm.max() == pytest.approx(gripper.pad.depth_mm, abs=1e-6)
 
 
 @pytest.mark.slow

@@ -64,7 +64,8 @@ def test_it_holds_what_the_dataset_and_the_physics_say(data, tmp_path):
     np.testing.assert_allclose(moved, sample.object_pose[:, :3], rtol=1e-6)
     # The fingers stand to either side of the gripper's centre, and close.
     left, right = (np.array(found[f"/scene/{p} Transform3D:translation"]) for p in PADS)
-    np.testing.assert_allclose((left + right)[:, 0] / 2, sample.config.x_mm, atol=1e-4)
+    # Each is where the physics has it, up to some µm as far out as the other.
+    np.testing.assert_allclose((left + right)[:, 0] / 2, sample.config.x_mm, atol=0.02)
     assert left[0, 0] < left[1, 0] < 0 < right[1, 0] < right[0, 0]
     np.testing.assert_allclose([left[0, 2], right[0, 2]], sample.config.z_mm, atol=0.5)
     # The gel is drawn as deep as the dataset says, against the first frame, which is untouched.
