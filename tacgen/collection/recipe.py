@@ -75,6 +75,8 @@ class Adaptive(Section):
 class Grid(Section):
     """Axes of the grid of grasps; an axis that is not given has the object's own grasp ranges."""
 
+    later_keys: ClassVar[tuple[str, ...]] = ("adaptive",)
+
     force_n: Axis | None = None
     """Force of each finger: a number, a list, ``{linspace: [first, last, count]}``,
     ``{geomspace: …}`` or ``{range: [first, last, step]}``."""
@@ -90,14 +92,6 @@ class Grid(Section):
     """Number of grasps drawn at random from the grid, per object; all if not given."""
     adaptive: Adaptive | None = None
     """Choose training grasps of the ``sample`` near the border between success and failure."""
-
-    @model_serializer(mode="wrap")
-    def _as_before(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Without ``adaptive`` what was written before there was that key: the same hash."""
-        found: dict[str, Any] = write(self)
-        if self.adaptive is None:
-            found.pop("adaptive", None)
-        return found
 
 
 class ObjectEntry(Located):
@@ -330,7 +324,7 @@ class SceneCamera(Section):
             msg = "look_at.to_mm is where the camera is; give a point before it"
             raise ValueError(msg)
         if t[2, 3] <= 0:
-            msg = f"is {-t[2, 3]:g} mm below the table's top, z = 0; place it above"
+            msg = f"is {abs(t[2, 3]):g} mm below the table's top, z = 0; place it above"
             raise ValueError(msg)
         return self
 

@@ -97,7 +97,7 @@ class _Worker:
     last_message_s: float = 0.0
     waited_s: float = 0.0  # for a core, until its last message
 
-    def hears(self, now_s: float) -> None:
+    def note_message(self, now_s: float) -> None:
         """Its last message came, or its task went, at ``now_s``."""
         self.last_message_s, self.waited_s = now_s, waited_for_a_core_s(self.process.pid)
 
@@ -311,7 +311,7 @@ def _start(make_job: JobFactory) -> _Worker:
 def _assign(worker: _Worker, progress: _Progress) -> None:
     worker.task = progress.queue.popleft()
     worker.item = -1
-    worker.hears(progress.awake_s)
+    worker.note_message(progress.awake_s)
     with contextlib.suppress(BrokenPipeError):  # it died idle; its death is accounted for
         worker.connection.send((worker.task, progress.crashed.get(worker.task, {})))
 
@@ -321,7 +321,7 @@ def _read_messages(worker: _Worker, progress: _Progress) -> Iterator[Event]:
         while worker.task >= 0 and worker.connection.poll():
             kind, item, value = worker.connection.recv()
             task = worker.task
-            worker.hears(progress.awake_s)
+            worker.note_message(progress.awake_s)
             if kind == "error":
                 raise TacgenError(value)
             if kind == "bug":

@@ -178,7 +178,7 @@ def _curves(policies: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
 
 def _film(played: Played, allowed: int) -> list[PageSection]:
     """Three episodes by touch: a regrasp that helped, the longest that did, and a failed lift."""
-    chosen = told_episodes(played.episodes["touch", allowed])
+    chosen = shown_episodes(played.episodes["touch", allowed])
     if not chosen:
         return []
     sections = []
@@ -217,7 +217,7 @@ _NOTE = (
 )
 
 
-def told_episodes(episodes: Sequence[Episode]) -> list[Episode]:
+def shown_episodes(episodes: Sequence[Episode]) -> list[Episode]:
     """A short and a long one that regrasps and holds, and one that fails; of those that there are.
 
     First those whose first look was worst; of different objects where there are.
@@ -245,5 +245,6 @@ def _drawn(look: Look, rest_px: NDArray[np.floating], mm_per_px: float) -> NDArr
     gain = overlays.gain_of(float(np.linalg.norm(moved_mm, axis=1).max()), room_mm)
     for start, step in zip(rest_px, gain * moved_mm / mm_per_px, strict=True):
         begin, end = (np.round(one).astype(int).tolist() for one in (start, start + step))
-        cv2.line(image, begin, end, (255, 255, 255), 1, cv2.LINE_AA)
+        head = overlays.HEAD_SHARE
+        cv2.arrowedLine(image, begin, end, (255, 255, 255), 1, cv2.LINE_AA, tipLength=head)
     return image

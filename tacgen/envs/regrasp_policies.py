@@ -52,7 +52,7 @@ class Costs:
         ``holds`` is the probability that the best other grasp holds, ``left`` how many regrasps
         are left. A lift costs (1 − p) drop on average. A regrasp costs its price and, where the
         other grasp fails too, W of one regrasp less: W₀ = drop and
-        Wₙ = min(drop, regrasp + (1 − holds) Wₙ₋₁), as if each look told for certain. With none
+        Wₙ = min(drop, regrasp + (1 − holds) Wₙ₋₁), as if each look were certain. With none
         left there is no choice, and the threshold is 0.
         """
         if left == 0:

@@ -111,6 +111,7 @@ BAD = {
     f"{{name: a, pose: {_pose(DOWN)[:3]}}}": "pose",
     "{name: a, look_at: {from_mm: [1, 2, 3], to_mm: [1, 2, 3]}}": "to_mm is where the camera is",
     "{name: a, look_at: {from_mm: [300, 0, -40], to_mm: [0, 0, 3]}}": "40 mm below the table's top",
+    "{name: a, look_at: {from_mm: [300, 0, 0], to_mm: [0, 0, 3]}}": "is 0 mm below the table's top",
     "{name: a, look_at: {from_mm: [0, 0, 90], to_mm: [0, 0, 0]}}": "is inside 'sugar_box'",
     "{name: 'a/b', look_at: {from_mm: [300, 0, 90], to_mm: [0, 0, 0]}}": r"name.*must match",
     "{name: a, size_px: [96, 4000], look_at: {from_mm: [300, 0, 90], to_mm: [0, 0, 0]}}": "2048",

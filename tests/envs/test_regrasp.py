@@ -4,7 +4,9 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 pytest.importorskip("torch")
@@ -18,6 +20,7 @@ from tacgen.envs.regrasp import (
     RESULT,
     WORLDS,
     Drawn,
+    Look,
     Tried,
     _checked_pad,
     _grasps_of,
@@ -26,7 +29,7 @@ from tacgen.envs.regrasp import (
     regrasp,
     standing_seeds,
 )
-from tacgen.envs.regrasp_page import told_episodes, write_regrasp_page
+from tacgen.envs.regrasp_page import _drawn, shown_episodes, write_regrasp_page
 from tacgen.envs.regrasp_policies import POLICIES, Costs
 from tacgen.learning.run_folder import RunFolder
 from tacgen.learning.train import train
@@ -51,6 +54,7 @@ NETWORK = {
     },
     "training": {"epochs": 1, "batch_size": 2},
 }
+SIDES = slice(12, 20), slice(22, 32)  # of an arrow from column 10 to 30
 FEW = {"costs": Costs(), "regrasps": 2, "episodes": 3, "worlds": 3}
 
 
@@ -128,13 +132,21 @@ def test_other_costs_simulate_nothing_anew(result, world, tmp_path):
     assert [one["mean_regrasps"] for one in cheap["policies"]["touch"]] == [0, 0, 0]
 
 
-def test_the_page_tells_three_episodes(result, tmp_path):
+def test_the_page_shows_three_episodes(result, tmp_path):
     scores, played = result
     write_regrasp_page(tmp_path / "index.html", scores, played)
     page = (tmp_path / "index.html").read_text()
-    told = told_episodes(played.episodes["touch", 2])
-    assert page.count("<figure>") == sum(len(one.steps) for one in told)
+    shown = shown_episodes(played.episodes["touch", 2])
+    assert page.count("<figure>") == sum(len(one.steps) for one in shown)
     assert "sugar_box" in page
+
+
+def test_markers_are_drawn_with_arrows_that_have_heads():
+    moved_mm = np.array([[[20.0, 0.0], [0.0, 0.0]]])
+    pad = SimpleNamespace(rgb=np.zeros((1, 60, 60, 3), np.uint8), markers_mm=moved_mm)
+    image = _drawn(Look(None, pad, [0]), np.array([[10.0, 30.0], [40.0, 30.0]]), 1.0)
+    height_px = [int((image[:, columns].max(axis=(1, 2)) > 100).sum()) for columns in SIDES]
+    assert height_px[0] == 1 < 3 <= height_px[1]
 
 
 def test_the_command_prints_json(world, capsys, monkeypatch, result):

@@ -24,8 +24,8 @@ def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
     the markers from ``markers/rest_mm.npy`` (M, 2), ``force_field/<grasp_id>.npy`` (T, rows,
     columns, 3) the force in N on each cell; all float32. Those of another pad stand in
     ``images_<pad>``, ``contact_<pad>`` and so on. What a camera sees is in ``cameras/<name>``:
-    ``rgb/<grasp_id>/<k>.png``, ``segmentation/<grasp_id>/<k>.png`` (without ``<k>`` where only the
-    moment of grasp is kept: ``0.png``), ``depth_mm/<grasp_id>.npy``, and its intrinsics and pose in
+    ``rgb/<grasp_id>/<k>.png``, ``segmentation/<grasp_id>/<k>.png`` (``0.png`` alone where only the
+    moment of grasp is kept), ``depth_mm/<grasp_id>.npy``, and its intrinsics and pose in
     ``camera.json``.
     """
     real_grasps.write(dataset, grasps, folder)
