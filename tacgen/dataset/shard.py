@@ -206,8 +206,10 @@ def _layout_of(path: Path, file: h5py.File) -> Layout:
     elif not sensor or "/" in sensor or not set(names) <= set(PADS):
         _refuse(path, [f"sensor {sensor!r} with pads {pads!r} is not known"])
     cameras = tuple(name for name in _text(file, CAMERAS).split(",") if name)
-    if len(cameras) > MAX_CAMERAS or not all(map(str.isidentifier, cameras)):
-        _refuse(path, [f"cameras {cameras} are not names, or more than {MAX_CAMERAS}"])
+    is_twice = len(set(cameras)) < len(cameras)
+    if is_twice or len(cameras) > MAX_CAMERAS or not all(map(str.isidentifier, cameras)):
+        problem = f"cameras {cameras} are not names, not all different, or more than {MAX_CAMERAS}"
+        _refuse(path, [problem])
     whole = Layout(sensor, names, cameras=cameras)
     return replace(whole, absent=frozenset(_absent(file, whole)))
 
@@ -216,14 +218,25 @@ def _absent(file: h5py.File, whole: Layout) -> Iterator[str]:
     """What the dataset was not asked for, by what is there; of two in one place the rank tells."""
     optional = [field for field in FIELDS if field.asked_by]
     for field in optional:
-        if field.of == "camera" and not whole.cameras:
-            yield field.asked_by
-            continue
-        owner = whole.cameras[0] if field.of == "camera" else whole.pads[0]
-        found = _array_at(file, whole.path(field, owner))
-        ranks = {len(f.axes) for f in optional if (f.group, f.name) == (field.group, field.name)}
-        if found is None or found.rank in ranks - {len(field.axes)}:
-            yield field.asked_by
+        if field.of != "camera":
+            found = _array_at(file, whole.path(field, whole.pads[0]))
+            same = [f for f in optional if (f.group, f.name) == (field.group, field.name)]
+            if found is None or found.rank in {len(f.axes) for f in same} - {len(field.axes)}:
+                yield field.asked_by
+    yield from _absent_of_cameras(file, whole)
+
+
+def _absent_of_cameras(file: h5py.File, whole: Layout) -> Iterator[str]:
+    """A camera that is named has all its arrays, in the one of the two ways of any that is there."""
+    fields = [field for field in FIELDS if field.of == "camera"]
+    ways = list(dict.fromkeys(field.asked_by for field in fields))
+    kept = ways[0]
+    for field in fields if whole.cameras else ():
+        found = _array_at(file, whole.path(field, whole.cameras[0]))
+        if found is not None and found.rank == len(field.axes):
+            kept = field.asked_by
+            break
+    yield from (way for way in ways if way != kept or not whole.cameras)
 
 
 def _text(file: h5py.File, name: str) -> str:

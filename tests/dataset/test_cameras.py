@@ -125,6 +125,18 @@ def _with_a_strange_name(file):
     file.attrs["cameras"] = np.bytes_(b"left,../../top")
 
 
+def _with_one_named_twice(file):
+    file.attrs["cameras"] = np.bytes_(b"left,left")
+
+
+def _without_an_array(file):
+    del file["camera/left/rgb"]
+
+
+def _without_any(file):
+    del file["camera"]
+
+
 def _of_another_size(file):
     rgb = file["camera/top/rgb"]
     del file["camera/top/rgb"]
@@ -141,6 +153,9 @@ def _with_a_number_without_a_name(file):
     [
         (_without_intrinsics, r"camera/left/rgb has no attributes K \(3, 3\) and T_world_camera"),
         (_with_a_strange_name, "are not names"),
+        (_with_one_named_twice, "not all different"),
+        (_without_an_array, "/camera/left/rgb is missing"),
+        (_without_any, "/camera/left/depth_mm is missing"),
         (_of_another_size, "camera/top/rgb"),
         (_with_a_number_without_a_name, "segmentation: the image .* has a number without a name"),
     ],
