@@ -227,7 +227,7 @@ def _absent(file: h5py.File, whole: Layout) -> Iterator[str]:
 
 
 def _absent_of_cameras(file: h5py.File, whole: Layout) -> Iterator[str]:
-    """A camera that is named has all its arrays, in the one of the two ways of any that is there."""
+    """A camera that is named has all arrays, in one of the two ways, which any of them shows."""
     fields = [field for field in FIELDS if field.of == "camera"]
     ways = list(dict.fromkeys(field.asked_by for field in fields))
     kept = ways[0]
