@@ -18,7 +18,8 @@ from tacgen.collection.randomize import Variation, draw_variation, vary_config
 from tacgen.collection.recipe import Recipe
 from tacgen.collection.scene import PICTURE_PX, grasp_picture
 from tacgen.contact.law import ContactLaw
-from tacgen.core.errors import TableError
+from tacgen.core.errors import SensorError, TableError
+from tacgen.core.optional_dependencies import require_extra
 from tacgen.core.records import ContactFrame, GraspConfig, GraspObject, GraspTrace
 from tacgen.dataset import CameraSample, DatasetSpec, GraspSample, PadSample
 from tacgen.optics import load_table
@@ -68,6 +69,8 @@ class GraspPipeline:
     A sample depends on the recipe and its place in the plan alone, not on the grasps before it.
     ``objects_kept`` is how many objects stay loaded; ``device`` draws all images of a pad at once,
     as ``optics.device`` of the recipe says.
+
+    Raises ``SensorError`` if the device is not here, or cannot draw the sensor's images.
     """
 
     def __init__(self, recipe: Recipe, device: str = "none", *, objects_kept: int = 4) -> None:
@@ -76,6 +79,7 @@ class GraspPipeline:
         self._pad = tactile_pad(recipe)
         self._on_device = None
         if device != "none":
+            require_extra("batch", f"optics.device = {device!r} needs", SensorError)
             from tacgen.batch.pad_images import PadImages
 
             self._on_device = PadImages(self._pad, len(frame_times_s(recipe)), device)

@@ -51,7 +51,8 @@ class GraspWorld:
     ``recipe`` is a recipe, its path, or the name of a shipped one. The physics starts with the
     first grasp; ``close`` ends it.
 
-    Raises ``RecipeError``, ``TableError``, ``PhysicsError`` as ``tacgen collect`` does.
+    Raises ``RecipeError``, ``TableError``, ``SensorError``, ``PhysicsError`` as ``tacgen collect``
+    does.
     """
 
     def __init__(self, recipe: Recipe | str | Path) -> None:
@@ -61,7 +62,8 @@ class GraspWorld:
         self.recipe = recipe if isinstance(recipe, Recipe) else load_recipe(recipe)
         self.plan = plan_recipe(self.recipe)
         self.objects = tuple(entry.object_name for entry in self.recipe.objects)
-        self.pipeline = GraspPipeline(self.recipe, objects_kept=OBJECTS_KEPT)
+        device = self.recipe.optics.device
+        self.pipeline = GraspPipeline(self.recipe, device, objects_kept=OBJECTS_KEPT)
         values = np.array([grasp_values(grasp) for grasp in self.plan])
         self.low, self.high = values.min(axis=0), values.max(axis=0)
         """Smallest and largest of ``AXES`` (5,) in the plan, over all objects."""

@@ -130,6 +130,28 @@ def test_a_grasp_that_cannot_be_carried_out_shows_gels_at_rest():
     world.close()
 
 
+def test_images_are_drawn_on_the_recipes_device(monkeypatch):
+    """As those of `collect`, which differ by up to a grey level from those drawn without it."""
+    pytest.importorskip("warp")
+    from tacgen.batch import pad_images
+
+    class Grey:
+        def __init__(self, pad, n, device):
+            assert device == "cpu"
+            self.shape = *pad.sensor.shape_px, 3
+
+        def images(self, imprints, rng=None):
+            return np.full((len(imprints), *self.shape), 77, np.uint8)
+
+    monkeypatch.setattr(pad_images, "PadImages", Grey)
+    world = GraspWorld(small_recipe(optics={"device": "cpu"}, randomize={}))
+    world.place(world.plan[10])
+    touch = world.grasp_and_lift(grasp_values(world.plan[10]))
+    world.close()
+    assert touch.trace.status == "executed"
+    assert (touch.pads["left"].rgb == 77).all()
+
+
 def test_camera_noise_differs_before_and_in_a_grasp():
     world = GraspWorld(small_recipe(optics={"noise": True}, randomize={}))
     world.place(world.plan[0])
