@@ -79,6 +79,14 @@ class TactileEnv(gymnasium.Env[Observation, Action]):
             raise LearningError(msg)
         self.render_mode, self._image_px = render_mode, image_px
         self.world = GraspWorld(recipe)
+        names = [one.name for one in self.world.recipe.scene.cameras]
+        if taken := {*names} & {*self.world.recipe.physics_settings.sensing_pads}:
+            name = min(taken)
+            msg = (
+                f"scene.cameras: {name!r} is a pad here, whose images are {name}_rgb in an "
+                "observation; give the camera another name"
+            )
+            raise LearningError(msg)
         self.low, self.high = _with_width(self.world.low, self.world.high)
         self._planned, self._ended = self.world.plan[0], True
         self.world.place(self._planned)
@@ -144,7 +152,7 @@ class TactileEnv(gymnasium.Env[Observation, Action]):
         if self.world.recipe.frames.mode == "single":
             found = {name: frames[0] for name, frames in found.items()}
         for camera, view in self._touch.cameras.items():
-            found |= {f"{camera}_{name}": getattr(view, name) for name in SEEN}
+            found |= {f"{camera}_{name}": getattr(view, name).copy() for name in SEEN}
         trace, opening_mm = self._touch.trace, self._stroke_mm
         if trace.pad_distance_mm is not None:
             opening_mm = float(trace.pad_distance_mm[trace.grasp_frame].sum())

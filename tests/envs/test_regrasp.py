@@ -159,6 +159,22 @@ def test_a_run_of_other_images_or_objects_is_refused(world, tmp_path, section, t
     assert not (tmp_path / "out").exists()
 
 
+def test_a_run_that_sees_a_camera_is_refused(world, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(world / "run", run)
+    plan = json.loads((run / "run.json").read_text())
+    plan["recipe"]["input"]["channels"].append("vision")
+    (run / "run.json").write_text(json.dumps(plan))
+    with pytest.raises(LearningError, match="sees a camera, and the looks"):
+        regrasp(run, load_recipe(world / "small.yaml"), tmp_path / "out", **FEW)
+
+
+def test_a_recipe_that_leaves_nothing_unknown_is_warned_of(world, tmp_path, capsys):
+    few = FEW | {"episodes": 2, "worlds": 2}
+    regrasp(world / "run", changed(tmp_path, randomize="{yaw_rad: 0.01}"), tmp_path / "out", **few)
+    assert "nothing of an object is unknown" in capsys.readouterr().err
+
+
 def test_a_look_that_shows_how_the_lift_ends_is_refused(tmp_path):
     recipe = changed(tmp_path, frames="{mode: sequence, count: 3, span_s: 1.5}")
     with GraspPipeline(recipe) as pipeline:
