@@ -292,11 +292,8 @@ def _other_kind(data: Mapping[str, Any], model: type[BaseModel]) -> str:
 def _describe(source: YamlSource, model: type[BaseModel], details: Any) -> str:
     key_path = _written_path(source.data, details["loc"])
     kind, given = details["type"], details.get("input")
-    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
-        parent = _field_names(model, key_path[:-1])
-        near = did_you_mean(str(key_path[-1]), parent) or _meant(str(key_path[-1]), parent, model)
-        known = f"; known here: {', '.join(parent)}" if parent else ""
-        return source.problem(key_path, f"is not a known key{near}{known}")
+    if kind in UNKNOWN_KEY:
+        return source.problem(key_path, unknown_key_text(model, key_path))
     if kind == "missing":
         return source.problem(details["loc"], "is missing; add it")
     if kind in ("model_type", "dataclass_type"):
@@ -305,6 +302,17 @@ def _describe(source: YamlSource, model: type[BaseModel], details: Any) -> str:
     if isinstance(given, (str, int, float)):
         return source.problem(key_path, f"= {given!r}: {text}")
     return source.problem(key_path, text if key_path else f": {text}")
+
+
+UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
+
+
+def unknown_key_text(model: type[BaseModel], key_path: KeyPath) -> str:
+    """That the last key of the path is not known, which one may be meant and which there are."""
+    parent, key = _field_names(model, key_path[:-1]), str(key_path[-1])
+    near = did_you_mean(key, parent) or _meant(key, parent, model)
+    known = f"; known here: {', '.join(parent)}" if parent else ""
+    return f"is not a known key{near}{known}"
 
 
 def _meant(key: str, parent: Sequence[str], model: type[BaseModel]) -> str:

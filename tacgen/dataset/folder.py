@@ -312,6 +312,8 @@ class DatasetFolder:
         is_said = any(role.endswith("recipe") for role in roles)
         if made["recipe_sha256"] != plan["recipe_sha256"] or is_said or not is_grown:
             lines += self._changed_settings(made, plan, spec.recipe)
+        elif not grow:
+            lines += self._changed_choice(spec.recipe)
         lines += [text for role in roles for text in _changed_input(role, made, plan, spec)]
         if not lines and is_grown and (made["parts"] == plan["parts"] or grow):
             return
@@ -338,6 +340,27 @@ class DatasetFolder:
                 text for text in differences(old, new) if text.partition(":")[0] not in uncounted
             ]
         return list(differences(made["recipe_sha256"], plan["recipe_sha256"], "recipe_sha256"))
+
+    def _changed_choice(self, recipe: Mapping[str, Any]) -> list[str]:
+        """Where grasps are now to be chosen otherwise than those of the dataset (``adaptive``)."""
+        lines: list[str] = []
+        with contextlib.suppress(RecipeError):
+            old, new = _adaptive_of(self.recipe()), _adaptive_of(recipe)
+            for name in old.keys() & new.keys():
+                if old[name] and new[name]:
+                    lines += differences(old[name], new[name], f"{name}: grid.adaptive")
+        return sorted(lines)
+
+
+def _adaptive_of(recipe: Mapping[str, Any]) -> dict[str, Any]:
+    """By object: how a recipe chooses its grasps; none where they are drawn at random."""
+    found: dict[str, Any] = {}
+    for entry in recipe.get("objects") or ():
+        if isinstance(entry, Mapping):
+            grids = [entry.get("grid") or {}, recipe.get("grid") or {}]
+            chosen = [one["adaptive"] for one in grids if one.get("adaptive")]
+            found[str(entry.get("dataset_name") or entry.get("name"))] = next(iter(chosen), None)
+    return found
 
 
 def _changed_input(
@@ -370,5 +393,12 @@ def differences(old: Any, new: Any, where: str = "") -> Iterator[str]:
     if isinstance(old, Mapping) and isinstance(new, Mapping):
         for key in dict.fromkeys([*old, *new]):
             yield from differences(old.get(key), new.get(key), f"{where}.{key}" if where else key)
+    elif _are_sections(old) and _are_sections(new) and len(old) == len(new):
+        for k, pair in enumerate(zip(old, new, strict=True)):
+            yield from differences(*pair, f"{where}[{k}]")
     elif old != new:
         yield f"{where}: {json.dumps(old)} there, {json.dumps(new)} now"
+
+
+def _are_sections(value: Any) -> bool:
+    return isinstance(value, list) and all(isinstance(one, Mapping) for one in value)

@@ -25,7 +25,7 @@ from tacgen.collection.recipe import Recipe
 from tacgen.core.errors import LearningError
 from tacgen.core.files import refuse_foreign, sha256_of, sha256_of_content, write_text
 from tacgen.core.lock import holder_of, locked
-from tacgen.core.progress import LOG
+from tacgen.core.progress import LOG, print_status
 from tacgen.core.records import LABEL_SUCCESS, GraspTrace
 from tacgen.core.workers import Report, run_tasks
 from tacgen.dataset.reader import ROUNDING_S, TIME_DIGITS
@@ -151,6 +151,12 @@ def regrasp(
     seed = recipe.seed if seed is None else seed
     grasps = _grasps_of(recipe)
     pad = _checked_pad(run, recipe)
+    unknown = ("friction_relative", "mass_relative", "center_of_mass_mm")
+    if not any(getattr(recipe.randomize, name) for name in unknown):
+        print_status(
+            f"warning: {recipe.name}: randomize draws no friction, mass or centre of mass, so that "
+            f"nothing of an object is unknown and touch finds nothing out; set {', '.join(unknown)}"
+        )
     pipeline = GraspPipeline(recipe)
     drawn = [
         Drawn(own[0].entry, one, is_episode)

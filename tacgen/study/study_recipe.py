@@ -1,18 +1,24 @@
 """Studies: a YAML file with variants to collect, train and test, for a table of them."""
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import reduce
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from tacgen.collection.recipe import Recipe
 from tacgen.core.config import Section
 from tacgen.core.errors import RecipeError
-from tacgen.core.yaml_source import YamlSource, load_checked, problem_text
+from tacgen.core.yaml_source import (
+    UNKNOWN_KEY,
+    YamlSource,
+    load_checked,
+    problem_text,
+    unknown_key_text,
+)
 from tacgen.learning.training_recipe import TrainRecipe
 
 _OWN_KEYS = ("name", "description", "objects")
@@ -187,15 +193,18 @@ def _name_problems(study: Study, source: YamlSource) -> Iterator[str]:
 
 
 def _row_problems(study: Study, source: YamlSource) -> Iterator[str]:
-    makers = (study.data_recipe, study.train_recipe)
-    for (i, row), make, quick in product(enumerate(study.rows), makers, (False, True)):
+    makers: list[tuple[type[BaseModel], Callable[..., BaseModel]]]
+    makers = [(Recipe, study.data_recipe), (TrainRecipe, study.train_recipe)]
+    for (i, row), (model, make), quick in product(enumerate(study.rows), makers, (False, True)):
         try:
             make(row, quick=quick)
         except ValidationError as error:
             for found in error.errors():
                 where = ".".join(map(str, found["loc"])) or "the recipe"
-                problem = f"cannot be used: {where}: {problem_text(found)}"
-                yield source.problem(("rows", i), problem)
+                problem = f": {problem_text(found)}"
+                if found["type"] in UNKNOWN_KEY:
+                    problem = f" {unknown_key_text(model, found['loc'])}"
+                yield source.problem(("rows", i), f"cannot be used: {where}{problem}")
 
 
 def _object_name(entry: Any) -> str:

@@ -261,6 +261,12 @@ def test_a_lost_plan_is_found_again_and_another_batch_size_refused(reference, wo
     world.write_text(other)
     with pytest.raises(DatasetError, match=r"grid.adaptive.batch: 4 there, 3 now"):
         prepare(load_recipe(world), tmp_path / "begun")
+    # Also where all are made, or nothing of the plan's sizes shows it.
+    with pytest.raises(DatasetError, match=r"grid.adaptive.batch: 4 there, 3 now"):
+        prepare(load_recipe(world), tmp_path / "out")
+    world.write_text(other.replace("batch: 3", "batch: 4").replace("first: 8", "first: 9"))
+    with pytest.raises(DatasetError, match=r"grid.adaptive.first: 8 there, 9 now"):
+        prepare(load_recipe(world), tmp_path / "out")
     # More grasps: what is there stays.
     world.write_text(other.replace("sample: 20", "sample: 26"))
     grasps, spec = prepare(load_recipe(world), tmp_path / "out", grow=True)

@@ -17,6 +17,7 @@ from tacgen.cli import app
 from tacgen.core import lock as file_lock
 from tacgen.core.errors import DatasetError
 from tacgen.dataset import Dataset, DatasetFolder
+from tacgen.dataset.folder import differences
 from tacgen.dataset.verify import verify
 
 from .conftest import collect_toy, make_sample, make_spec
@@ -52,6 +53,13 @@ def test_another_recipe_is_refused_key_by_key(toy, spec, change, words):
     for word in [*words, "give another --out"]:
         assert word in str(refusal.value)
     assert {p: p.stat().st_mtime_ns for p in toy.root.rglob("*")} == before
+
+
+def test_of_a_list_of_sections_the_one_that_differs_is_named():
+    old = {"objects": [{"name": "cup", "grid": None}, {"name": "ball", "mass_kg": 0.1}]}
+    new = {"objects": [{"name": "cup", "grid": None}, {"name": "ball", "mass_kg": 0.2}]}
+    assert list(differences(old, new)) == ["objects[1].mass_kg: 0.1 there, 0.2 now"]
+    assert list(differences([1, 2], [1, 3], "y_mm")) == ["y_mm: [1, 2] there, [1, 3] now"]
 
 
 def test_another_version_is_refused(toy, spec, monkeypatch):

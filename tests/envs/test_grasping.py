@@ -339,7 +339,19 @@ def test_cameras_show_the_object_before_the_grasp_and_the_gripper_after(frames):
     assert before["camera_left_rgb"].shape == ((3,) if frames == "all" else ()) + (36, 48, 3)
     after, _, _, _, info = env.step(before["gripper"][:5])
     assert info["status"] == "executed"
+    assert not any(np.shares_memory(before[name], after[name]) for name in before)
     last = (..., slice(None), slice(None))
     nearer = after["camera_left_depth_mm"][last] < before["camera_left_depth_mm"][last] - 5.0
     assert nearer.reshape(-1, 36, 48)[-1].sum() > 20  # the gripper, before the table and the object
+    env.close()
+
+
+@pytest.mark.filterwarnings("error:.*share an object:UserWarning")
+def test_a_lift_that_shows_what_was_seen_before_it_gives_arrays_of_its_own():
+    view = {"name": "front", "look_at": {"from_mm": [300, -300, 250], "to_mm": [0, 0, 40]}}
+    env = gymnasium.make(REGRASP, recipe=small_recipe(dataset=BARE, scene={"cameras": [view]}))
+    before, _ = env.reset(seed=0)
+    after = env.step(lifting())[0]
+    assert np.array_equal(before["camera_front_rgb"], after["camera_front_rgb"])
+    assert not np.shares_memory(before["camera_front_rgb"], after["camera_front_rgb"])
     env.close()

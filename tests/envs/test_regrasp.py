@@ -205,6 +205,12 @@ def test_the_networks_accuracy_is_that_of_what_it_saw():
         _network_scores(list(nothing), nothing)
 
 
+def test_a_recipe_that_leaves_nothing_unknown_is_warned_of(world, tmp_path, capsys):
+    few = FEW | {"episodes": 2, "worlds": 2}
+    regrasp(world / "run", changed(tmp_path, randomize="{yaw_rad: 0.01}"), tmp_path / "out", **few)
+    assert "nothing of an object is unknown" in capsys.readouterr().err
+
+
 def test_a_look_that_shows_how_the_lift_ends_is_refused(tmp_path):
     recipe = changed(tmp_path, frames="{mode: sequence, count: 3, span_s: 1.5}")
     with GraspPipeline(recipe) as pipeline:

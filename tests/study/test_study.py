@@ -208,6 +208,19 @@ def test_every_mistake_of_a_study_is_told(tmp_path):
     assert "'one' is given twice" in text
 
 
+def test_a_misspelt_key_of_a_row_s_recipes_is_told_with_those_there_are(tmp_path):
+    path = tmp_path / "s.yaml"
+    path.write_text(
+        "name: s\nobjects: [cup]\ndata: {grid: {smple: 16}}\n"
+        "train: {inptu: {}}\nrows: [{name: one}]\n"
+    )
+    with pytest.raises(RecipeError) as caught:
+        load_study(path)
+    text = str(caught.value)
+    assert "grid.smple is not a known key (did you mean 'sample'?); known here: adaptive," in text
+    assert "inptu is not a known key (did you mean 'input'?)" in text
+
+
 def test_rows_whose_runs_would_share_a_folder_are_told(tmp_path):
     path = tmp_path / "s.yaml"
     path.write_text("name: s\nobjects: [cup]\nrows:\n- name: one, two\n- name: One (two)\n")
