@@ -56,8 +56,9 @@ class PadImages:
         images = np.empty((len(imprints), *self._pad.sensor.shape_px, 3), np.uint8)
         for first in range(0, len(imprints), self._renderer.n):
             some = imprints[first : first + self._renderer.n]
-            places = {id(one): k for k, one in enumerate({id(one): one for one in some}.values())}
-            grey = self._grey(list({id(one): one for one in some}.values()))
+            unique = {id(one): one for one in some}
+            places = {key: k for k, key in enumerate(unique)}
+            grey = self._grey(list(unique.values()))
             for imprint, rgb in zip(some, images[first:], strict=False):
                 image = grey[places[id(imprint)]]
                 if rng is not None and self._noise.sigma_grey > 0:

@@ -293,7 +293,7 @@ def _choice(
     labels: IntArray,
     count: int,
 ) -> list[list[float]]:
-    """The values of ``AXES`` of an object's next grasps, as they stand in the plan.
+    """The values of ``AXES`` of an object's next grasps, sorted.
 
     They follow from the ``labels`` of those ``made``, and are none of those ``taken``.
     An axis counts by the places of its values: they lie as close as whoever listed them finds that

@@ -104,7 +104,7 @@ def collect(
     grow : bool
         Keep the shards of a dataset of which ``recipe`` has all grasps, and add the others.
     item_limit_s : float
-        A grasp that takes longer is recorded as ``crashed``.
+        A grasp that takes longer, without its waiting for a core, is recorded as ``crashed``.
 
     Raises
     ------
