@@ -35,7 +35,7 @@ def grasp_picture(
     openings_mm = dict.fromkeys(PADS, gripper.stroke_mm / 2)
     if trace.frames and len(trace.object_pose):
         pose = pose_matrix(trace.object_pose[frame])
-        openings_mm |= _openings_mm(config, trace, pose, frame)
+        openings_mm = pad_distances_mm(trace, frame)
     vertices = grasped.surface.vertices_mm @ pose[:3, :3].T + pose[:3, 3]
     parts: list[Part] = [(vertices, grasped.surface.faces, grasped.color_rgb)]
     parts += [_table(), *_gripper(gripper, config, openings_mm)]
@@ -55,22 +55,6 @@ def pad_distances_mm(trace: GraspTrace, frame: int) -> dict[str, float]:
     assert trace.pad_distance_mm is not None
     distances_mm = np.maximum(trace.pad_distance_mm[frame], 0.0)
     return dict(zip(PADS, distances_mm.tolist(), strict=True))
-
-
-def _openings_mm(
-    config: GraspConfig, trace: GraspTrace, object_pose: NDArray[np.float64], frame: int
-) -> dict[str, float]:
-    """Distance of each gel from the gripper's centre, along the closing axis.
-
-    A pad without a sensor stands as far out as the other: the fingers move symmetrically.
-    """
-    along = np.array([np.cos(config.yaw_rad), np.sin(config.yaw_rad), 0.0])
-    center = np.array([config.x_mm, config.y_mm, 0.0])
-    found = {}
-    for pad, loads in trace.frames.items():
-        gel_origin = object_pose @ np.linalg.inv(loads[frame].pose_gel_object)[:, 3]
-        found[pad] = abs(float((gel_origin[:3] - center) @ along))
-    return dict.fromkeys(PADS, min(found.values())) | found if found else found
 
 
 @lru_cache(maxsize=1)

@@ -8,6 +8,8 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from tacgen.core.errors import DatasetError
 from tacgen.core.files import write_text
 from tacgen.core.progress import print_status
@@ -15,8 +17,8 @@ from tacgen.dataset.check import OUTCOME
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.manifest import ShardLine, total
 from tacgen.dataset.reader import Dataset
-from tacgen.dataset.schema import VALIDITY
-from tacgen.dataset.shard import broken_as_error, open_shard
+from tacgen.dataset.schema import SEGMENTS, VALIDITY
+from tacgen.dataset.shard import broken_as_error, open_shard, read_image
 from tacgen.report.page import templates
 
 
@@ -33,7 +35,7 @@ def summarize(root: Path | str) -> dict[str, Any]:
     growth added, ``chosen`` those that were chosen near the border. ``arrays`` are the images and
     what is kept of the touch: of which shape (without the grasps; those of a camera as
     ``camera/<name>/…``), and the bytes a grasp takes of all pads, before compression
-    (``raw_bytes``) and in the first shard.
+    (``raw_bytes``) and in the first shard. ``blind_cameras`` show the object in no image of that.
 
     Raises ``DatasetError`` if there is no finished shard, or the manifest cannot be read.
     """
@@ -85,7 +87,24 @@ def summarize(root: Path | str) -> dict[str, Any]:
         "not_executed": _reasons(folder, lines),
         "validity": _validity(lines),
         "arrays": _arrays(folder, lines[0]),
+        "blind_cameras": _blind_cameras(folder, lines[0]),
     }
+
+
+def _blind_cameras(folder: DatasetFolder, line: ShardLine) -> list[str]:
+    path, seen = folder.shard_path(line.shard), SEGMENTS.index("object")
+    if not line.status.get("executed"):
+        return []
+    with closing(open_shard(path)) as shard, broken_as_error(path):
+        return [
+            camera
+            for field, camera, place in shard.layout.placed()
+            if field.of == "camera" and field.name == "segmentation"
+            for images in [shard.arrays[place]]
+            if not any(
+                (read_image(images, at) == seen).any() for at in np.ndindex(images.shape[:-2])
+            )
+        ]
 
 
 def _arrays(folder: DatasetFolder, line: ShardLine) -> dict[str, dict[str, Any]]:
@@ -135,16 +154,20 @@ def not_executed_lines(summary: Mapping[str, Any]) -> list[str]:
 
 
 def validity_lines(summary: Mapping[str, Any]) -> list[str]:
-    """How many images do not show the whole force of their contact; none where all do."""
+    """What images do not show: the whole force of their contact, or a camera's the object."""
+    lines = [
+        f"camera {name} never shows the object; correct its pose or look_at"
+        for name in summary["blind_cameras"]
+    ]
     found = summary["validity"]
     grasps = {k: n for k, n in found["grasps"].items() if n and k != "of"}
-    if not grasps:
-        return []
-    kinds = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in grasps.items())
-    return [
-        "images that do not show the whole force at the moment of grasp, of "
-        f"{found['grasps']['of']} grasps: {kinds} (each frame's flags are in the shards)"
-    ]
+    if grasps:
+        kinds = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in grasps.items())
+        lines.append(
+            "images that do not show the whole force at the moment of grasp, of "
+            f"{found['grasps']['of']} grasps: {kinds} (each frame's flags are in the shards)"
+        )
+    return lines
 
 
 def _validity(lines: Sequence[ShardLine]) -> dict[str, dict[str, int]]:

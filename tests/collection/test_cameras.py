@@ -13,11 +13,13 @@ from tacgen.collection.cameras import cameras_of, scene_solids
 from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe, load_recipe
+from tacgen.collection.run import collect
 from tacgen.collection.scene import pose_matrix
 from tacgen.core.errors import DatasetError, RecipeError
 from tacgen.core.records import PADS
 from tacgen.dataset import Dataset
 from tacgen.dataset.schema import SEGMENTS
+from tacgen.dataset.summary import summarize, validity_lines
 from tacgen.dataset.verify import verify
 from tacgen.physics.settings import EngineName
 from tests.small_world import write_world
@@ -242,3 +244,16 @@ def test_a_dataset_holds_what_the_cameras_see(tmp_path, engine):
     is_table = table.segmentation[0] == SEGMENTS.index("table")
     assert is_table.mean() > 0.5
     assert (table.depth_mm[0][is_table] == 600).all()
+
+
+@pytest.mark.slow
+def test_a_camera_that_looks_away_is_told(tmp_path):
+    away = "{name: away, look_at: {from_mm: [300, -300, 200], to_mm: [600, -600, 200]}}"
+    path = write_world(
+        tmp_path,
+        grid="{force_n: [25], y_mm: [0], z_mm: [90]}",
+        scene=f"{{cameras: [{FRONT}, {away}]}}",
+    )
+    collect(load_recipe(path), tmp_path / "out", progress=False)
+    (line,) = validity_lines(summarize(tmp_path / "out"))
+    assert line == "camera away never shows the object; correct its pose or look_at"

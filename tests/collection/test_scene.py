@@ -12,14 +12,17 @@ CONFIG = GraspConfig(0, "sugar_box", 5.0, 0.0, 0.0, 90.0)
 
 
 def trace(object_x_mm=0.0, opening_mm=20.0):
-    """A grasp whose left pad stands ``opening_mm`` from the gripper's centre."""
+    """A grasp whose pads stand ``opening_mm`` from the gripper's centre."""
     gel_in_world = np.eye(4)
     gel_in_world[:3, 3] = -opening_mm, 0.0, 90.0
     object_in_world = np.eye(4)
     object_in_world[0, 3] = object_x_mm
     frame = ContactFrame(0.0, 5.0, np.zeros(2), 0.0, np.linalg.inv(gel_in_world) @ object_in_world)
     pose = np.array([[object_x_mm, 0, 0, 0, 0, 0, 1.0]])
-    return GraspTrace(CONFIG, "executed", 1, "", {"left": (frame,)}, pose, 180.0, 0.0)
+    return GraspTrace(
+        CONFIG, "executed", 1, "", {"left": (frame,)}, pose, 180.0, 0.0,
+        pad_distance_mm=np.full((1, 2), opening_mm),
+    )  # fmt: skip
 
 
 def coloured(picture):
@@ -47,6 +50,16 @@ def test_an_object_that_moved_is_seen_elsewhere():
         ).mean(axis=0)
 
     assert np.linalg.norm(middle(40.0) - middle(0.0)) > 3
+
+
+def test_a_pad_is_drawn_where_it_stands():
+    """Fingers that lost their object go through each other in the physics; pads meet, drawn."""
+    drawn = [
+        grasp_picture(BOX, CONFIG, trace(400.0, opening_mm), 0, default_gripper())
+        for opening_mm in (20.0, 0.0, -20.0)
+    ]
+    assert (drawn[0] != drawn[1]).any()
+    np.testing.assert_array_equal(drawn[1], drawn[2])
 
 
 def test_a_grasp_that_was_not_executed_shows_the_object_at_rest():

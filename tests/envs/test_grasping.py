@@ -250,6 +250,7 @@ def test_what_is_no_action_is_refused(action, message):
         (GRASP, {"image_px": 64}, "image_px = 64; give"),
         (REGRASP, {"max_regrasps": -1}, "max_regrasps = -1; give a whole number"),
         (REGRASP, {"regrasp_cost": float("nan")}, "regrasp_cost = nan; give 0 or more"),
+        (REGRASP, {"regrasp_cost": "a"}, "regrasp_cost = 'a'; give 0 or more"),
     ],
 )
 def test_what_is_no_setting_is_refused(name, options, message):
