@@ -291,7 +291,10 @@ class RegraspEnv(TactileEnv):
         if not isinstance(max_regrasps, int | np.integer) or max_regrasps < 0:
             msg = f"max_regrasps = {max_regrasps!r}; give a whole number, 0 or more"
             raise LearningError(msg)
-        if not isinstance(regrasp_cost, int | float | np.number) or not 0 <= regrasp_cost < math.inf:
+        if (
+            not isinstance(regrasp_cost, int | float | np.number)
+            or not 0 <= regrasp_cost < math.inf
+        ):
             msg = f"regrasp_cost = {regrasp_cost!r}; give 0 or more: a success is worth 1"
             raise LearningError(msg)
         self._max_regrasps, self._cost = int(max_regrasps), float(regrasp_cost)
