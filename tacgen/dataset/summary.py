@@ -156,7 +156,7 @@ def not_executed_lines(summary: Mapping[str, Any]) -> list[str]:
 def validity_lines(summary: Mapping[str, Any]) -> list[str]:
     """What images do not show: the whole force of their contact, or a camera's the object."""
     lines = [
-        f"camera {name} never shows the object; correct its pose or look_at"
+        f"camera {name} shows the object nowhere in the first shard; correct its pose or look_at"
         for name in summary["blind_cameras"]
     ]
     found = summary["validity"]

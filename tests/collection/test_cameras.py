@@ -256,4 +256,5 @@ def test_a_camera_that_looks_away_is_told(tmp_path):
     )
     collect(load_recipe(path), tmp_path / "out", progress=False)
     (line,) = validity_lines(summarize(tmp_path / "out"))
-    assert line == "camera away never shows the object; correct its pose or look_at"
+    fix = "correct its pose or look_at"
+    assert line == f"camera away shows the object nowhere in the first shard; {fix}"

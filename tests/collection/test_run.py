@@ -201,7 +201,7 @@ def test_ctrl_c_keeps_finished_shards_and_exits_130(reference, world, tmp_path):
     while not list(out.glob("shards/shard-*.json")) and time.monotonic() < deadline:
         time.sleep(0.02)
     process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=120)
+    _, said = process.communicate(timeout=30)
     assert process.returncode == 130, said
     assert "finished work is kept" in said
     assert not list(out.glob("shards/*.part"))

@@ -383,7 +383,7 @@ def test_a_mapped_process_killed_as_it_starts_ends_the_command(method, tmp_path)
             assert run.poll() is None
             time.sleep(0.002)
         os.kill(found[0], signal.SIGKILL)
-        said, _ = run.communicate(timeout=120)
+        said, _ = run.communicate(timeout=30)
     assert "a worker process was killed" in said
 
 
@@ -401,7 +401,7 @@ def test_mapped_processes_end_with_a_killed_command(method, tmp_path):
     time.sleep(3.0)  # they import numpy and begin
     run.kill()
     run.wait()
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 5
     while any(Path(f"/proc/{child}/cmdline").exists() for child in found):
         assert time.monotonic() < deadline, "orphans"
         time.sleep(0.05)

@@ -4,17 +4,12 @@ from pathlib import Path
 
 import pytest
 
-from validation.processes import random_kills
 from validation.processes.random_kills import COMMANDS, prepare, trials
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
-def test_a_command_that_is_ended_at_any_moment_ends_and_goes_on(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for limit in ("ENDS_WITHIN_S", "GONE_WITHIN_S"):  # other tests want the cores, too
-        monkeypatch.setattr(random_kills, limit, 60.0)
+def test_a_command_that_is_ended_at_any_moment_ends_and_goes_on(name: str, tmp_path: Path) -> None:
     prepare(tmp_path)
     for trial in trials(tmp_path, 8, (name,), seed=1):  # the first at half of its time
         assert not trial.problems

@@ -17,7 +17,7 @@ from tests.dataset.conftest import collect_toy, make_spec
 from validation.processes.random_kills import processes_of, wait_for_tacgen
 
 ROOT = Path(__file__).resolve().parents[2]
-PATIENCE_S = 60.0  # of a loaded machine; a fifth of a second on an idle one
+PATIENCE_S = 10.0  # of a loaded machine; a fifth of a second on an idle one
 
 
 def interrupted(arguments: list[str], after_s: float, folder: Path) -> tuple[int, str]:
