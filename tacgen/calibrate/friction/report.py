@@ -13,8 +13,6 @@ from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.report import figures as plots
 from tacgen.report.page import write_page
 
-FEW_GRASPS = 10  # below so many labels a bootstrap's interval is short by chance
-
 
 def write_friction_report(
     path: Path,
@@ -49,10 +47,9 @@ def verdict_of(name: str, fit: Mapping[str, Any]) -> str:
     if fit["bounded"] == "above":
         return f"{name}: every grasp failed, so μ is at most about {high:.2f}."
     fewest = min(count for _, count in fit["mislabels"])
-    few = " With so few grasps the interval is a rough one." if fit["n_grasps"] < FEW_GRASPS else ""
     return (
         f"{name}: μ = {fit['mu']:.3g} ({low:.3g} to {high:.3g}), "
-        f"{fewest} of {fit['n_grasps']} grasps mislabelled.{few}"
+        f"{fewest} of {fit['n_grasps']} grasps mislabelled."
     )
 
 

@@ -12,17 +12,20 @@ import yaml
 
 from tacgen.collection import perturbed
 from tacgen.collection.recipe import Recipe
-from tacgen.core.arrays import FloatArray, IntArray
+from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 from tacgen.core.errors import RecipeError
 from tacgen.core.files import refuse_foreign, write_text
 from tacgen.core.resources import find_object_folder
-from tacgen.dataset.real_grasps import RealGrasps
+from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 
 SweepKey = tuple[str, float]
 """(grasp_id, μ)."""
 
 
-N_BOOTSTRAP = 2000  # draws of the bootstrap: each 2.5 % tail has 50; chosen
+LEAST_WRONG_SHARE = 0.1
+"""Of labels that the interval allows to be wrong although fewer are seen to be: of 10 labels none
+is, 35 times of 100."""
+MISSED = 0.05  # how often the interval may miss the true μ, both sides together
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,31 +45,52 @@ class FrictionFit:
 
 
 def fit_friction(
-    mu_values: FloatArray, simulated: IntArray, real: IntArray, rng: np.random.Generator
+    mu_values: FloatArray, simulated: IntArray, real: IntArray, _rng: object = None
 ) -> FrictionFit:
     """Choose μ by the fewest mislabels; ties go to the middle of the longest run.
 
     ``mu_values`` (M,) ascend; ``simulated`` (M, N) is the label of every grasp at every μ, where −1
-    (not executed) counts as a mislabel; ``real`` (N,) is 1 for success, 0 for failure.
+    (not executed) counts as a mislabel; ``real`` (N,) is 1 for success, 0 for failure. ``_rng`` is
+    ignored: nothing is drawn.
 
-    Source: Si et al. 2022, Sec. IV: friction by sweeping μ against about 20 real grasps. The
-    interval is a percentile bootstrap over grasps.
+    The interval holds every μ with as few mislabels as the best, every one that ``explaining``
+    cannot tell from them, and half a step on either side.
+
+    Source: Si et al. 2022, Sec. IV: friction by sweeping μ against about 20 real grasps.
     """
-    wrong = simulated != real[None, :]
-    mislabels = wrong.sum(axis=1)
-    draws = rng.multinomial(len(real), np.full(len(real), 1 / len(real)), size=N_BOOTSTRAP)
-    chosen = [best_mu(mu_values, curve) for curve in draws @ wrong.T.astype(np.int64)]
-    low, high = np.percentile(chosen, [2.5, 97.5])
-    mu = best_mu(mu_values, mislabels)
-    bounded = "both"
-    run = best_run(mislabels)
+    mislabels = (simulated != real).sum(axis=1)
+    mu, run = best_mu(mu_values, mislabels), best_run(mislabels)
+    ends = np.flatnonzero(explaining(simulated, real) | (mislabels == mislabels.min()))[[0, -1]]
+    between = (mu_values[1:] + mu_values[:-1]) / 2
+    half = np.diff(mu_values)[[0, -1]] / 2 if len(mu_values) > 1 else np.zeros(2)
+    lows = np.maximum([mu_values[0] - half[0], *between], 0.0)
+    highs = np.array([*between, mu_values[-1] + half[1]])
+    bounded, low, high = "both", lows[ends[0]], highs[ends[1]]
     if (real == 1).all():
-        bounded, low, high = "below", float(mu_values[run.start]), float(mu_values[-1])
+        bounded, low, high = "below", lows[run.start], mu_values[-1]
     elif (real == 0).all():
-        bounded, low, high = "above", float(mu_values[0]), float(mu_values[run.stop - 1])
-    return FrictionFit(
-        mu, (min(float(low), mu), max(float(high), mu)), mu_values, mislabels, len(real), bounded
-    )
+        bounded, low, high = "above", mu_values[0], highs[run.stop - 1]
+    interval = float(low), float(high)
+    return FrictionFit(mu, interval, mu_values, mislabels, len(real), bounded)
+
+
+def explaining(simulated: IntArray, real: IntArray) -> BoolArray:
+    """The μ (M,) that explain labels about as well as the best; arguments as of ``fit_friction``.
+
+    Grasps that no μ tells apart have one label, that of their majority: none where it is even. From
+    the true μ on, every label that is passed adds a mislabel, or takes one away where it is wrong:
+    a random walk, which ever falls by t with the probability (p/(1−p))^t on either side, p being
+    the share of wrong labels. Falls that are likelier than ``MISSED`` are allowed.
+
+    Source: Feller 1968, An Introduction to Probability Theory, vol. 1, XIV.2 (the ruin).
+    """
+    distinct, which = np.unique(simulated, axis=1, return_inverse=True)
+    votes = np.bincount(which.ravel(), 2.0 * real - 1.0)
+    told = (votes != 0) & (distinct != distinct[0]).any(axis=0)
+    curve = (distinct != (votes > 0))[:, told].sum(axis=1)
+    share = max(LEAST_WRONG_SHARE, curve.min() / max(told.sum(), 1))
+    ratio = share / (1.0 - share) if share < 1.0 else 1.0
+    return np.asarray(2.0 * ratio ** (curve - curve.min()) > MISSED)
 
 
 def best_mu(mu_values: FloatArray, mislabels: IntArray) -> float:
@@ -109,15 +133,20 @@ def sweep_friction(
         for mu, change in changes.items()
     }
     fits: dict[str, FrictionFit] = {}
-    for number, (name, grasps) in enumerate(real.by_object().items()):
+    for name, repeated in real.by_object().items():
+        grasps = _distinct(repeated)
         labels = np.array(
             [[outcomes[grasp.grasp_id, mu].label for grasp in grasps] for mu in mu_values]
         )
         truth = np.array([grasp.label for grasp in grasps])
-        rng = np.random.default_rng(np.random.SeedSequence(recipe.seed, spawn_key=(number,)))
-        fits[name] = fit_friction(np.asarray(mu_values), labels, truth, rng)
+        fits[name] = fit_friction(np.asarray(mu_values), labels, truth)
     write_text(out / "friction.json", json.dumps(friction_json(fits), indent=2) + "\n")
     return fits, outcomes
+
+
+def _distinct(grasps: Sequence[RealGrasp]) -> list[RealGrasp]:
+    """The grasps without those that repeat another's configuration and label."""
+    return list({(perturbed.place_of(one.config), one.label): one for one in grasps}.values())
 
 
 def data_warnings(
@@ -129,8 +158,14 @@ def data_warnings(
         max((outcomes[grasp.grasp_id, mu] for mu in mu_values), key=lambda one: one.label)
         for grasp in real.grasps
     ]
+    repeats = len(real.grasps) - len(_distinct(real.grasps))
     return [
         *real.warnings,
+        *(
+            [f"{repeats} grasp(s) repeat another's place, force and label: left out"]
+            if repeats
+            else []
+        ),
         *perturbed.unexecuted_note(real.grasps, best, "count as mislabels at every μ"),
     ]
 
