@@ -6,6 +6,7 @@ a unit that is not one of the quantity is not guessed.
 """
 
 import csv
+import itertools
 import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -67,7 +68,9 @@ _LENGTH |= dict.fromkeys(("millimeter", "millimeters", "millimetre", "millimetre
 _LENGTH |= dict.fromkeys(("micrometer", "micrometers", "micrometre", "micrometres"), 1e-3)
 _TIME = dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0)
 _TIME |= dict.fromkeys(("ms", "msec", "millisecond", "milliseconds"), 1e-3)
-_TIME |= {"us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0, "d": 86400.0}
+_TIME |= dict.fromkeys(("us", "usec", "usecs", "microsecond", "microseconds"), 1e-6)
+_TIME |= dict.fromkeys(("ns", "nsec", "nsecs", "nanosec", "nanosecond", "nanoseconds"), 1e-9)
+_TIME |= {"min": 60.0, "h": 3600.0, "d": 86400.0}
 _VOLUME = {"mm3": 1.0, "ul": 1.0, "cm3": 1e3, "ml": 1e3, "m3": 1e9, "um3": 1e-9}
 _VOLUME |= {"uL": 1.0, "mL": 1e3}
 _UNITS = {"n": _FORCE, "mm": _LENGTH, "s": _TIME, "mm3": _VOLUME}
@@ -253,7 +256,9 @@ def read_log_table(path: Path, log_format: LogFormat) -> LogTable:
     table = read_table(path)
     by = log_format.columns.get("trial", "")
     named = {name: one for name, one in log_format.columns.items() if one not in BLOCKS}
-    columns = _with_units_of_cells(table.columns)
+    columns, clocks = _with_whole_stamps(_with_units_of_cells(table.columns))
+    if len(clocks) == 1 and "time_s" not in columns:
+        named = {"time_s": next(iter(clocks)), **named}
     headers, units, notes, unclear = _named(columns, path, named)
     names = {header: name for name, header in headers.items()}
     cells = {
@@ -264,7 +269,10 @@ def read_log_table(path: Path, log_format: LogFormat) -> LogTable:
     known = tuple(name for name in headers if name not in ("indenter", "curve"))
     count, note = _without_summary(cells, path, table.rows)
     cells = {name: column[:count] for name, column in cells.items()}
-    rows, notes = table.rows[:count], [*table.notes, *notes, *note]
+    added = [
+        f"{path}: {whole!r} and {part!r} are one clock: added" for whole, part in clocks.items()
+    ]
+    rows, notes = table.rows[:count], [*table.notes, *added, *notes, *note]
     cells, mend, marks = _with_points(cells, known, table.delimiter)
     cells, labels = _labels_as_numbers(cells)
     notes += [f"{path}: {text}" for text in (*marks, *labels)]
@@ -333,6 +341,29 @@ def _with_units_of_cells(columns: Mapping[str, Cells]) -> dict[str, Cells]:
                 continue
         found[header] = cells
     return found
+
+
+def _with_whole_stamps(columns: Mapping[str, Cells]) -> tuple[dict[str, Cells], dict[str, str]]:
+    """Columns with the parts of a second added to its whole seconds, and the headers of both.
+
+    ROS writes a stamp as ``secs`` and ``nsecs``, ROS 2 as ``sec`` and ``nanosec``.
+    """
+    found, clocks = dict(columns), dict[str, str]()
+    ends = [unit for unit, factor in _TIME.items() if factor == 1.0]
+    parts = [unit for unit, factor in _TIME.items() if factor < 1.0]
+    for whole, end, unit in itertools.product(columns, ends, parts):
+        part = whole.removesuffix(end) + unit
+        if not whole.endswith(end) or part not in found or whole in clocks:
+            continue
+        (seconds, filled), (rest, _) = parsed(columns[whole]), parsed(columns[part])
+        rest *= _TIME[unit]
+        is_stamp = (seconds == np.round(seconds)) & (rest >= 0.0) & (rest < 1.0)
+        if filled.any() and is_stamp[filled].all():
+            stamps = (seconds + rest).tolist()
+            found[whole] = ["" if np.isnan(one) else repr(one) for one in stamps]
+            del found[part]
+            clocks[whole] = part
+    return found, clocks
 
 
 def _without_summary(
@@ -476,6 +507,7 @@ def _unit_of(header: str, name: str) -> str:
     elif len(words) > 1 and (last := _spoken_unit(words[-1], name)):
         unit = last
         words = words[: -2 if words[-2] == "in" and len(words) > 2 else -1]
+    words = words[1:] if words[:1] == ["field"] else words  # as `rostopic echo -p` begins
     spoken = [word.lower() if len(words) > 1 or len(word) > 1 else word for word in words]
     if name == "trial":
         while len(spoken) > 1 and spoken[-1] in _NUMBER_WORDS:
@@ -762,7 +794,7 @@ def _header_line(lines: Sequence[str]) -> tuple[int, str]:
     """Index of the header's line and the delimiter: what parts it and most rows below it alike.
 
     The header is the first line, beyond comments and a preamble, whose cells are as many as those
-    of the rows; a comment where the rows begin at once, as numpy writes it.
+    of the rows; a comment of as many where that line has numbers, as numpy and ROS write it.
     """
     open_lines = [k for k, line in enumerate(lines) if line.strip() and not _is_comment(line)]
     if not open_lines:
@@ -777,13 +809,16 @@ def _header_line(lines: Sequence[str]) -> tuple[int, str]:
             continue
         for least in (typical, max(typical - 1, 2)):
             first = next(k for k, n in zip(open_lines, counts, strict=False) if n >= least)
+            above = [k for k in range(first) if _is_comment(lines[k])]
+            fits = [
+                k for k in above if _count(lines[k].strip().lstrip(MARKS), delimiter) == typical
+            ]
             cells = [cell.strip() for cell in _cells(lines[first], delimiter)]
-            if not all(map(_is_number, filter(None, cells))):
+            are_numbers = [*map(_is_number, filter(None, cells))]
+            if fits and (all(are_numbers) or any(are_numbers)):
+                return fits[-1], delimiter
+            if not all(are_numbers):
                 return first, delimiter
-        above = [k for k in range(first) if _is_comment(lines[k])]
-        fits = [k for k in above if _count(lines[k].strip().lstrip(MARKS), delimiter) == typical]
-        if fits:
-            return fits[-1], delimiter
     return fallback
 
 

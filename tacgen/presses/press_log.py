@@ -55,6 +55,10 @@ MAX_DROPPED_SHARE = 0.5  # of a log's samples: with more gone, what is left is n
 USUAL_SHARE, SPIKE_FACTOR = 0.99, 30.0
 """Readings so many times beyond what this share of them is within are no readings."""
 
+MOST_TIED = (
+    0.1  # of a press's samples: with more at the time of the one before, its clock is coarse
+)
+
 MAX_WARNED = 5  # presses whose empty cells or gaps are spelled out
 
 MAX_PLAUSIBLE_FORCE_N = 100.0
@@ -430,6 +434,7 @@ def _checked(columns: Columns, path: Path, rows: IntArray, response: str) -> Pre
     for block in blocks:
         _check_contact(found, block)
     _check_stray_units(found, blocks)
+    _check_tied_times(found, blocks)
     session_clock = _check_session_clock(found, blocks)
     _check_covariates(found)
     dropped = tuple(sorted(found.dropped, key=lambda each: each.rows))
@@ -688,6 +693,21 @@ def _check_stray_units(found: _Findings, blocks: list[IntArray]) -> None:
                 "another unit (grams?)"
             )
             found.drop(block, reason, "write its force in newtons")
+
+
+def _check_tied_times(found: _Findings, blocks: list[IntArray]) -> None:
+    """A warning where many samples of a press share a time: the clock's step hides their order."""
+    shares = [
+        (np.diff(found.columns["time_s"][found.kept(block)]) == 0).mean()
+        for block in blocks
+        if found.keep[block].sum() > 1
+    ]
+    tied = sum(share > MOST_TIED for share in shares)
+    if tied:
+        found.warn(
+            f"samples of {tied} presses share their time ({max(shares):.0%} of them in one): what depends "
+            "on time or on the load's history cannot be told from this clock; add its parts of a second"
+        )
 
 
 def _check_session_clock(found: _Findings, blocks: list[IntArray]) -> bool:

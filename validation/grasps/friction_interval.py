@@ -8,6 +8,7 @@ not count.
 """
 
 import argparse
+import sys
 from collections.abc import Sequence
 
 import numpy as np
@@ -46,14 +47,14 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0, help="of the first set")
     arguments = parser.parse_args()
     seeds = range(arguments.seed, arguments.seed + arguments.sets)
-    print("| step | labels | wrong | coverage | width | error |")
-    print("|---|---|---|---|---|---|")
+    sys.stdout.write("| step | labels | wrong | coverage | width | error |\n")
+    sys.stdout.write("|---|---|---|---|---|---|\n")
     for step in STEPS:
         for n_labels in N_LABELS:
             for wrong in WRONG:
                 coverage, width, error = study(step, n_labels, wrong, seeds)
                 row = f"{step:g} | {n_labels} | {100 * wrong:g} % | {100 * coverage:.1f} %"
-                print(f"| {row} | {width:.2f} | {error:.3f} |")
+                sys.stdout.write(f"| {row} | {width:.2f} | {error:.3f} |\n")
 
 
 if __name__ == "__main__":
