@@ -1,6 +1,7 @@
 """One grasp from the plan to the sample that a shard holds: where the stages are joined."""
 
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -18,6 +19,7 @@ from tacgen.collection.randomize import Variation, draw_variation, vary_config
 from tacgen.collection.recipe import Recipe
 from tacgen.collection.scene import PICTURE_PX, grasp_picture
 from tacgen.contact.law import ContactLaw
+from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import SensorError, TableError
 from tacgen.core.optional_dependencies import require_extra
 from tacgen.core.records import ContactFrame, GraspConfig, GraspObject, GraspTrace
@@ -26,7 +28,7 @@ from tacgen.optics import load_table
 from tacgen.physics import FrameRequest, GraspSimulator
 from tacgen.physics.grasp import StartedGrasp, not_executed, start_grasp
 from tacgen.sensor.description import load_sensor
-from tacgen.sensor.gel_response import GelLoad, gel_loads, rounded_pose_and_load
+from tacgen.sensor.gel_response import GelLoad, gel_loads, is_near, rounded_pose_and_load
 from tacgen.sensor.tactile_pad import Imprint, TactileFrame, TactilePad
 
 CALIBRATION = ("table", "contact_law")
@@ -156,31 +158,50 @@ class GraspPipeline:
 
         ``rng`` draws the camera's noise.
         """
-        frames, factor = grasp.trace.frames[pad], grasp.variation.k_n_factor
-        loads = gel_loads(
-            law or self._law,
-            frames,
-            grasp_index=SETTLED_PRESS,
-            k_n_factor=factor,
-            friction=grasp.grasped.friction,
-        )
-        imprints: list[Imprint] = []
-        before: tuple[NDArray[np.float64], GelLoad] | None = None
-        for frame, load in zip(frames, loads, strict=True):
-            pose, load = rounded_pose_and_load(frame.pose_gel_object, load)
-            if before and load == before[1] and np.array_equal(pose, before[0]):
-                imprints.append(imprints[-1])
-            else:
-                last = imprints[-1] if imprints else None
-                imprints.append(self._pad.press(grasp.grasped.surface, pose, load, last))
-            before = pose, load
+        imprints = self._imprints(grasp, pad, law or self._law)
         if self._on_device is not None:
             images = self._on_device.images(imprints, rng)
         else:
-            images = np.empty((len(frames), *self._pad.sensor.shape_px, 3), dtype=np.uint8)
+            images = np.empty((len(imprints), *self._pad.sensor.shape_px, 3), dtype=np.uint8)
             for imprint, rgb in zip(imprints, images, strict=True):
                 self._pad.image(imprint, rng=rng, rgb=rgb)
         return images, [TactileFrame(*one) for one in zip(images, imprints, strict=True)]
+
+    def _imprints(self, grasp: SimulatedGrasp, pad: str, law: ContactLaw) -> list[Imprint]:
+        """What a pad's gel shows in each frame.
+
+        Its shear goes on from the trace's ``gel_steps`` alone, so that a frame does not depend on
+        which others are kept; up to the first of these the gel comes to its load from rest.
+        """
+        trace, surface = grasp.trace, grasp.grasped.surface
+
+        def loaded(frames: Sequence[ContactFrame]) -> Iterator[tuple[float, FloatArray, GelLoad]]:
+            loads = gel_loads(
+                law,
+                frames,
+                grasp_index=SETTLED_PRESS,
+                k_n_factor=grasp.variation.k_n_factor,
+                friction=grasp.grasped.friction,
+            )
+            for frame, load in zip(frames, loads, strict=True):
+                yield frame.time_s, *rounded_pose_and_load(frame.pose_gel_object, load)
+
+        steps = deque(loaded(trace.gel_steps.get(pad, ())))
+        imprints: list[Imprint] = []
+        before: Imprint | None = None
+        advanced: tuple[FloatArray, GelLoad] | None = None
+        shown: tuple[FloatArray, GelLoad, Imprint | None] | None = None
+        for time_s, pose, load in loaded(trace.frames[pad]):
+            while steps and steps[0][0] < time_s:
+                _, *step = steps.popleft()
+                if advanced is None or not is_near(*step, *advanced):
+                    before, advanced = self._pad.advance(surface, *step, before), step
+            if shown and shown[2] is before and load == shown[1] and (pose == shown[0]).all():
+                imprints.append(imprints[-1])
+            else:
+                imprints.append(self._pad.press(surface, pose, load, before))
+            shown = pose, load, before
+        return imprints
 
     def picture(self, grasp: SimulatedGrasp) -> NDArray[np.uint8]:
         """The scene from outside at the moment of grasp, (h, w, 3)."""

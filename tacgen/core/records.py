@@ -6,7 +6,7 @@ the gel towards the object. Poses are 4×4 homogeneous matrices with translation
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -224,7 +224,9 @@ class SlipMargin:
 class GraspTrace:
     """Everything the physics says about one grasp.
 
-    ``frames`` maps each tactile pad (``left``, ``right``) to its T frames. ``object_pose`` (T, 7)
+    ``frames`` maps each tactile pad (``left``, ``right``) to its T frames, ``gel_steps`` to the
+    loads at fixed times from the moment of grasp up to the last frame, by which the gel's shear is
+    advanced whatever frames are kept. ``object_pose`` (T, 7)
     is x, y, z (mm) and the quaternion x, y, z, w of the object in the world at the frames' times,
     ``gripper_pose`` (T, 7) the same of the gripper, whose left and right gel are then
     ``pad_distance_mm`` (T, 2) from its middle; None where the grasp was not executed.
@@ -251,6 +253,7 @@ class GraspTrace:
     outcome_time_s: float = float("nan")
     gripper_pose: NDArray[np.float64] | None = None
     pad_distance_mm: NDArray[np.float64] | None = None
+    gel_steps: Mapping[str, tuple[ContactFrame, ...]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -57,6 +57,9 @@ from tacgen.physics.settings import (
 
 CHUNK_STEPS = 5  # between checks of the closing fingers: 10 ms
 PAST_STEPS = 5  # between samples of a load's past: 10 ms
+GEL_STEP_S = 0.1
+"""Between the loads by which a gel's shear is advanced from the moment of grasp on. Counted anew at
+the start of the lift, whose first step jerks the pads: it is no load that a gel keeps."""
 STEADY_CHUNKS = 5  # checks in a row, 52 ms, for which a steady force keeps to the delivered one
 CREEP_TIMES = 5.0  # time constants of soft pads after which 0.7 % of their creep is left
 FORCE_TOLERANCE = 0.02  # of the delivered force, by which a pad may be off at the moment of grasp
@@ -208,6 +211,7 @@ class StartedGrasp:
         sequence = request.mode == "sequence"
         self.frame_ends = frame_end_steps(request, settings.time_step_s) if sequence else []
         self.ends_at_lift = sequence and request.until == "lift"
+        self._gel_steps: list[int] = []
         self.bodies = Bodies(
             pads=self.gripper.sides,
             principal_moments_kg_m2=self.body.principal_moments_kg_m2,
@@ -248,7 +252,9 @@ class StartedGrasp:
             return
         self._grasped = self._observe()
         self._capacity = self._load_pads(self._grasped)
-        self.recorder.advance_to_frame(self._steps(settings.hold_s))
+        hold_steps = self._steps(settings.hold_s)
+        self._plan_gel_steps(self.recorder.step + hold_steps)
+        self.recorder.advance_to_frame(hold_steps)
         if self.ends_at_lift:
             lift_step = self.recorder.step
             earlier = [min(end, lift_step) for end in self.frame_ends[:-1]]
@@ -278,12 +284,21 @@ class StartedGrasp:
             raise PhysicsError(msg)
         self.robot.fingers.couple()
         self.bodies = replace(self.bodies, lift_step=self.recorder.step + 1)
+        self._plan_gel_steps(sys.maxsize)
         start, lifted = self._lift()
         if self.frame_ends:
             self.recorder.advance(self.frame_ends[-1] - self.recorder.step)
         motion = outcome.motion_of(start, lifted, self.bodies, self.settings.sensing_pads[0])
         self._ended = self._executed(motion)
         return self._ended
+
+    def _plan_gel_steps(self, end: int) -> None:
+        """Keep the loads at fixed steps from now to the step ``end``, before the last frame."""
+        every = max(1, self._steps(GEL_STEP_S))
+        last = min(end, max(self.frame_ends, default=0) - 1)
+        steps = range(self.recorder.step + every, last + 1, every)
+        self.recorder.plan(steps)
+        self._gel_steps += steps
 
     def _steps(self, seconds: float) -> int:
         return round(seconds / self.settings.time_step_s)
@@ -416,14 +431,16 @@ class StartedGrasp:
         frame = frame_of_moment(self.frame_ends, last.step)
         if len(windows) != 1:
             windows[frame : frame + 1] = [list(self._grasped)]
-        past = self.recorder.past()
+        past, pads = self.recorder.past(), settings.sensing_pads
+        steps = [[self.recorder.snapshots[step]] for step in self._gel_steps]
         ends = [window[-1] for window in windows]
         held = GraspTrace(
             config=self.config,
             status="executed",
             label=LABEL_NOT_EXECUTED,
             failure_mode="",
-            frames=outcome.frames_of(windows, self.bodies, settings.sensing_pads, past),
+            frames=outcome.frames_of(windows, self.bodies, pads, past),
+            gel_steps=outcome.frames_of(steps, self.bodies, pads, past),
             object_pose=outcome.object_poses_mm(ends, self.bodies),
             rise_mm=math.nan,
             turn_rad=math.nan,

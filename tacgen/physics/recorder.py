@@ -1,7 +1,7 @@
 """Advances the simulation and records snapshots at the wanted steps."""
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from tacgen.physics.contacts import Placement, Snapshot
 from tacgen.physics.engine import Body, Engine, Robot
@@ -76,6 +76,10 @@ class Recorder:
         """The snapshots of the load's past: the same ones whatever frames are kept."""
         every = self._past_every
         return [one for step, one in sorted(self.snapshots.items()) if every and not step % every]
+
+    def plan(self, steps: Iterable[int]) -> None:
+        """Take a snapshot at these steps too, which are still to come."""
+        self._planned = sorted({*self._planned, *steps}, reverse=True)
 
     def placement(self) -> Placement:
         """Where the object and the gripper are now."""

@@ -18,6 +18,11 @@ ONSET_S = 1e-3  # before the first load that is known, the gel is at rest
 
 PLACE_STEP_MM = 2e-4  # to which the place of an object under the gel is rounded
 
+NEAR_MM, NEAR_SHARE = 0.05, 0.01
+"""A tenth of the lattice's cell, and a part of the normal force: by as much as object and load may
+differ from those by which the shear was last advanced before it is advanced again."""
+NEAR_LEVER_MM, NEAR_ARM_MM = 8.0, 1.0  # half a window, and about the arm of a patch's torsion
+
 
 @dataclass(frozen=True, slots=True)
 class GelLoad:
@@ -72,7 +77,7 @@ def gel_loads(
     """
     alone = bool(law.effects) and any(frame.past is not None for frame in frames)
     normal, shear_mm = list[float](), list[FloatArray]()
-    for part in [[frame] for frame in frames] if alone else [frames]:
+    for part in [[frame] for frame in frames] if alone or not frames else [frames]:
         history = load_history(part, grasp_index)
         volume_mm3, motion_mm = law.predict(history, simulate=True)
         is_depth = law.law == "linear_depth"
@@ -181,6 +186,30 @@ def rounded_pose_and_load(
             round(load.force_n[1], 5),
             round(load.force_n[2], 5),
         ),
+    )
+
+
+def is_near(pose: FloatArray, load: GelLoad, other_pose: FloatArray, other: GelLoad) -> bool:
+    """Whether an object's pose (4, 4), mm, and load are those by which a shear was last advanced.
+
+    Steps at a constant load need not be made: the gel is as after one.
+    """
+
+    def numbers(pose: FloatArray, load: GelLoad) -> tuple[FloatArray, FloatArray, float]:
+        rotation, k_s = pose[:3, :3], load.k_s_mm_per_n or 1.0
+        place_mm = np.append(-rotation.T @ pose[:3, 3], NEAR_LEVER_MM * rotation)
+        sums_mm = *load.shear_sum_mm, load.turn_sum_mm2 / NEAR_ARM_MM
+        loads_n = np.append(load.force_n or (0.0,) * 3, np.array(sums_mm) / k_s)
+        return place_mm, loads_n, load.indentation_mm or load.volume_mm3 or 0.0
+
+    (place_mm, loads_n, pressed), (at_mm, by_n, by) = (
+        numbers(pose, load),
+        numbers(other_pose, other),
+    )
+    return bool(
+        np.abs(place_mm - at_mm).max() <= NEAR_MM
+        and np.abs(loads_n - by_n).max() <= NEAR_SHARE * by_n[2]
+        and abs(pressed - by) <= NEAR_SHARE * by
     )
 
 

@@ -345,17 +345,24 @@ class TactilePad:
         there pressed in until the gel has lost the load's volume, or to the load's depth.
         ``before`` is the imprint of the frame before, whose shear the gel remembers; None: at rest.
         """
+        imprint = self.advance(mesh, pose_gel_object, load, before)
+        if imprint.shear is None:
+            return imprint
+        motion = self._shear.object_motion(imprint.shear, load)
+        pose = motion.moved(np.asarray(pose_gel_object, dtype=np.float64))
+        moved = self.indenter.indent(mesh, pose, load)
+        return replace(moved, motion=motion, shear=imprint.shear, load=load)
+
+    def advance(
+        self, mesh: Mesh, pose_gel_object: FloatArray, load: GelLoad, before: Imprint | None
+    ) -> Imprint:
+        """``press`` for the shear alone: the imprint of the object where it is not moved by it."""
         imprint = self.indenter.indent(mesh, pose_gel_object, load)
         if imprint.indentation_mm <= 0 or not imprint.depth_mm.size:
             return imprint
         last = None if before is None else before.shear
         shear = self._shear.step(imprint.depth_mm, imprint.window, load, imprint.share, last)
-        if shear is None:
-            return replace(imprint, load=load)
-        motion = self._shear.object_motion(shear, load)
-        pose = motion.moved(np.asarray(pose_gel_object, dtype=np.float64))
-        moved = self.indenter.indent(mesh, pose, load)
-        return replace(moved, motion=motion, shear=shear, load=load)
+        return replace(imprint, shear=shear, load=load)
 
     def image(
         self,
