@@ -1,12 +1,19 @@
 """Recipes, sensors and objects by name: the user's own folder first, then what tacgen ships."""
 
+import re
 from collections.abc import Iterable
 from pathlib import Path
 
 from tacgen.core.errors import ObjectError, RecipeError, did_you_mean
-from tacgen.core.files import is_file
+from tacgen.core.files import is_file, read_small_text
 
 _PACKAGE = Path(__file__).parents[1]
+_OF_RECIPES = re.compile(
+    r"^[\ufeff{\s]*[\"']?(extends|objects|sensor|grid|training|indenters|rows|schedule)[\"']?\s*:",
+    re.MULTILINE,
+)
+"""A key that a recipe has, and no sensor, gripper or contact law."""
+_MOST_BYTES = 10_000_000
 
 
 def packaged(folder: str) -> Path:
@@ -53,13 +60,28 @@ def _find_yaml(
     places = [Path(file), Path(folder) / file, packaged("recipes").parent / folder / file]
     if beside is not None:
         places.insert(0, beside / file)
-    for place in places:
-        if is_file(place) and (file == name or but_not is None or not place.samefile(but_not)):
+    found = [place for place in places if is_file(place)]
+    if kind == "recipe":
+        wrong = [p for p in found if file != name and but_not and p.samefile(but_not)]
+    else:  # a recipe that has its sensor's name is not that sensor
+        wrong = [p for p in found if _is_recipe(p)]
+    for place in found:
+        if place not in wrong:
             return place
     shipped = sorted(path.stem for path in (packaged("recipes").parent / folder).glob("*.yaml"))
     fix = f"give the path of a YAML file or one of {', '.join(shipped)}"
     msg = f"no {kind} named {name!r}{did_you_mean(name, shipped)}; {fix}"
+    if wrong:
+        found_there = "the recipe itself" if kind == "recipe" else f"a recipe, not a {kind}"
+        msg = f"{wrong[0]} is {found_there}: {msg}"
     raise RecipeError(msg)
+
+
+def _is_recipe(path: Path) -> bool:
+    try:
+        return bool(_OF_RECIPES.search(read_small_text(path, _MOST_BYTES)))
+    except (OSError, ValueError):  # as its reader will say
+        return False
 
 
 def object_folders(beside: Path | None = None) -> dict[str, Path]:
