@@ -56,6 +56,7 @@ EXAMPLES = {
     "objects.spinning_friction_mm": "1.2",
     "spinning_friction_mm.value": "1.2",
     "grid.x_mm": "[0, 5]",
+    "grid.file": "grasps.csv",
     "grid.sample": "150",
     "sensor.table": "table.npz",
     "sensor.dome_radius_mm": "30",

@@ -88,7 +88,15 @@ def _train_line(data: Path) -> str:
 
 
 @common.app.command(rich_help_panel=common.DATASETS)
-def grid(recipe: common.RecipeArgument, json_output: common.JsonFlag = False) -> None:
+def grid(
+    recipe: common.RecipeArgument,
+    near_border: Annotated[
+        Path | None,
+        Option(help="A dataset: list its grasps, and more where their labels leave it open."),
+    ] = None,
+    count: Annotated[int, Option(min=1, help="How many more of each object.")] = 20,
+    json_output: common.JsonFlag = False,
+) -> None:
     """List the grasps of a recipe with the shard of each, as CSV."""
     import pandas as pd
 
@@ -100,6 +108,17 @@ def grid(recipe: common.RecipeArgument, json_output: common.JsonFlag = False) ->
     from tacgen.physics import GraspSimulator
 
     loaded = load_recipe(recipe)
+    if near_border is not None:
+        from tacgen.collection.border import next_grasps
+
+        found = next_grasps(loaded, near_border, count)
+        text = found.to_csv(index=False).rstrip("\n")
+        common.print_result(found.to_dict(orient="records"), text, json_output)
+        common.hand_over(
+            f"tacgen collect {quoted(recipe)} --out {quoted(near_border)} --grow   "
+            "# with the list as grid.file in the recipe"
+        )
+        return
     plan = grown_plan(loaded, ())
     rows = grid_rows(plan.grasps)
     try:
@@ -107,11 +126,6 @@ def grid(recipe: common.RecipeArgument, json_output: common.JsonFlag = False) ->
     except PhysicsError as error:  # the list is right all the same
         common.warn([error])
     common.print_result(rows, pd.DataFrame(rows).to_csv(index=False).rstrip("\n"), json_output)
-    if plan.n_to_choose:
-        print_status(
-            f"{plan.n_to_choose} more training grasps are chosen by the outcomes, in "
-            f"{len(plan.parts) - 1} batches (grid.adaptive)"
-        )
     try:
         costs = dataset_spec(loaded, len(rows)).grasp_bytes.items()
         kept = ", ".join(f"{name} {n / 1e3:.1f} kB" for name, n in costs)

@@ -7,10 +7,19 @@ hang on these choices, so they must be the same on every machine: nothing but su
 quotients and square roots in a fixed order, which every processor rounds alike.
 """
 
-import numpy as np
+import contextlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
 
+import numpy as np
+import pandas as pd
+
+from tacgen.collection.grid import AXES, draw, grown_plan, whole_grid
+from tacgen.collection.recipe import Recipe
 from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 from tacgen.core.compiled import njit
+from tacgen.dataset import Dataset
 
 NOISE = 0.01
 """Variance of an outcome of ±1 that the axes of the grid do not tell, as by ``randomize``."""
@@ -18,6 +27,63 @@ SCALES = (0.1, 0.2, 0.4, 0.8, 1.6)
 """Lengths over which outcomes are alike, in parts of an axis; one is fitted for each axis."""
 MAX_FITTED = 200
 """Grasps by which they are fitted: more change them little, and cost with their cube."""
+
+MAX_CANDIDATES = 4096  # of a large grid: far closer together than the grasps that are chosen
+
+
+def next_grasps(recipe: Recipe, data: Path | str, count: int) -> pd.DataFrame:
+    """The grasps of a dataset and ``count`` more of each object, as a list for ``grid.file``.
+
+    Those to choose from are all points of the recipe's axes, whatever its ``sample``. They follow
+    from the labels of training grasps alone and are training grasps: what test grasps came to would
+    leak into the training set, and a test set near the border would be no sample of the grid.
+
+    Raises ``DatasetError`` if there is no finished dataset.
+    """
+    dense = recipe.model_copy(
+        update={
+            "grid": recipe.grid.model_copy(update={"sample": None, "file": None}),
+            "objects": tuple(
+                one.model_copy(update={"grid": one.grid.model_copy(update={"sample": None})})
+                if one.grid
+                else one
+                for one in recipe.objects
+            ),
+        }
+    )
+    with contextlib.closing(Dataset(data)) as dataset:
+        columns = dataset.columns()
+    names = ["object", *AXES, "split"]
+    made = pd.DataFrame({name: columns[name] for name in [*names, "label"]})
+    listed = [made[names]]
+    for grid in grown_plan(dense, ()).grids[0]:
+        own = made[made["object"] == grid["object"]]
+        taken = set(own[list(AXES)].itertuples(index=False, name=None))
+        open_to = [point for point in whole_grid(grid) if point[1:] not in taken]
+        # Ties go by the points' own draws, as do those that are looked at in a large grid.
+        open_to.sort(key=lambda point: draw(recipe.seed, "sample", point))
+        values = np.array([point[1:] for point in open_to[:MAX_CANDIDATES]]).reshape(-1, len(AXES))
+        train = own[own["split"] == "train"]
+        chosen = choose_near_border(
+            _places(grid, train[list(AXES)].to_numpy(float)),
+            train["label"].to_numpy(np.int64),
+            _places(grid, values),
+            count,
+        )
+        more = pd.DataFrame(values[sorted(chosen)], columns=list(AXES))
+        listed.append(more.assign(object=grid["object"], split="train")[names])
+    return pd.concat(listed, ignore_index=True)
+
+
+def _places(grid: Mapping[str, Any], points: FloatArray) -> FloatArray:
+    """Where points lie on the axes of a grid, from 0 to 1.
+
+    An axis counts by the places of its values: they lie as close as whoever listed them finds that
+    it matters, forces by equal factors.
+    """
+    axes = (np.unique(grid[axis]) for axis in AXES)
+    columns = zip(points.T, axes, strict=True)
+    return np.stack([np.interp(x, axis, np.linspace(0, 1, len(axis))) for x, axis in columns], 1)
 
 
 def choose_near_border(

@@ -2,16 +2,17 @@
 
 import hashlib
 import itertools
-import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from tacgen.collection.border import choose_near_border
-from tacgen.collection.recipe import Adaptive, Grid, ObjectEntry, Recipe
-from tacgen.core.arrays import FloatArray, IntArray
+from tacgen.collection.recipe import Grid, ObjectEntry, Recipe
+from tacgen.core.columns import unit_problems
 from tacgen.core.errors import RecipeError
 from tacgen.core.progress import print_once
 from tacgen.core.records import GraspConfig
@@ -22,7 +23,6 @@ AXES = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
 Grids = Sequence[Mapping[str, Any]]
 """The grids of a recipe's objects, a record each."""
 MAX_GRASPS = 10_000_000  # years of one machine: a misspelt axis
-MAX_CANDIDATES = 4096  # of a large grid: far closer together than a batch's grasps
 
 Point = tuple[str, float, float, float, float, float]
 """What identifies a grasp: its object and the values of ``AXES``."""
@@ -46,44 +46,29 @@ class PlannedGrasp:
 class GraspPlan:
     """The grasps of a dataset in their order, and the grids that they came with, one after another.
 
-    Each of ``grids`` holds a record an object: its name, its axes and how many of its points there
-    are; each of ``parts`` is the number of grasps that a grid added to those before it. Where a
-    recipe is adaptive, a grid is a batch: its record also has the number of its ``tests``, and the
-    points that were ``chosen``. Batches that follow from grasps still to be made have their number
-    in ``parts`` alone.
+    Each of ``grids`` holds a record an object: its name, with its axes and how many of its points
+    there are, or with the ``points`` of a list and their ``split``; each of ``parts`` is the number
+    of grasps that a grid added to those before it.
     """
 
     grasps: tuple[PlannedGrasp, ...]
     grids: tuple[Grids, ...]
     parts: tuple[int, ...]
 
-    @property
-    def n_to_choose(self) -> int:
-        """How many grasps are not chosen yet."""
-        return sum(self.parts) - len(self.grasps)
-
 
 def plan_recipe(recipe: Recipe) -> tuple[PlannedGrasp, ...]:
     """Every grasp of ``recipe``, in order; axes left out are those of its objects' ``object.yaml``.
 
-    Of an adaptive recipe these are the grasps that are drawn at random, which come first.
-
-    Raises ``RecipeError`` if a force exceeds the gripper's, or the grid is too large.
+    Raises ``RecipeError`` if a force exceeds the gripper's, the grid is too large or its file
+    cannot be used.
     """
     return grown_plan(recipe, ()).grasps
 
 
-Labels = Callable[[int], IntArray | None]
-"""The labels (n,) of the first n grasps of a dataset; None until all of them are made."""
-
-
-def grown_plan(
-    recipe: Recipe, recorded: Sequence[Grids], labels_of: Labels = lambda _: None
-) -> GraspPlan:
+def grown_plan(recipe: Recipe, recorded: Sequence[Grids]) -> GraspPlan:
     """The plan of ``recipe`` where a dataset already has the grids ``recorded``.
 
-    Its grasps keep their places, and those that it lacks follow in shards of their own; of an
-    adaptive recipe the next batch, once ``labels_of`` knows all grasps before it. Where a
+    Its grasps keep their places, and those that it lacks follow in shards of their own. Where a
     recorded grasp is none of the recipe's, the plan is that of the recipe alone.
 
     Raises ``RecipeError`` as ``plan_recipe`` does.
@@ -91,16 +76,13 @@ def grown_plan(
     own: Grids = [_grid_of(recipe, entry) for entry in recipe.objects]
     grids = list(recorded)
     parts = _parts(recipe.seed, grids)
-    if not set().union(*parts) <= set(_points(recipe.seed, own, _by_object(parts))):
-        grids, parts = [], []
-    to_come = _batches(recipe, own, _by_object(parts))
-    if to_come:
-        known = [point for part in parts for point in part]
-        sides = _splits(recipe, grids, parts)
-        batch = _with_choice(recipe, own, to_come[0], known, sides, labels_of)
-        if batch is not None:
-            grids, to_come = [*grids, batch], to_come[1:]
-            parts = _parts(recipe.seed, grids)
+    there = set().union(*parts)
+    wanted = _points(recipe.seed, own, _by_object(parts))
+    if not there <= set(wanted):
+        grids, parts, there = [], [], set()
+        wanted = _points(recipe.seed, own, {})
+    if more := [point for point in wanted if point not in there]:
+        grids, parts = [*grids, own], [*parts, more]
     planned: list[PlannedGrasp] = []
     entries = {entry.object_name: k for k, entry in enumerate(recipe.objects)}
     splits, shard = _splits(recipe, grids, parts), 0
@@ -108,11 +90,10 @@ def grown_plan(
         for k, point in enumerate(part):
             config = GraspConfig(len(planned), *point)
             number = shard + k // recipe.dataset.shard_size
-            seed = _draw(recipe.seed, "grasp", point)
+            seed = draw(recipe.seed, "grasp", point)
             planned.append(PlannedGrasp(config, entries[point[0]], splits[point], number, seed))
         shard += -(-len(part) // recipe.dataset.shard_size)
-    sizes = [*map(len, parts), *(sum(more.values()) for more in to_come)]
-    return GraspPlan(tuple(planned), tuple(grids), tuple(sizes))
+    return GraspPlan(tuple(planned), tuple(grids), tuple(map(len, parts)))
 
 
 def grid_rows(planned: Sequence[PlannedGrasp]) -> list[dict[str, object]]:
@@ -125,20 +106,18 @@ def grid_rows(planned: Sequence[PlannedGrasp]) -> list[dict[str, object]]:
 def _grid_of(recipe: Recipe, entry: ObjectEntry) -> dict[str, Any]:
     """The axes of one object's grid with its name, as plain data."""
     own, common = entry.grid or Grid(), recipe.grid
+    if (file := common.path()) is not None:
+        return _listed(file, recipe, entry)
     ranges = read_description(entry.object_folder()).grasp_ranges
-    gripper, settings = recipe.robot.spec().gripper, recipe.physics_settings
+    gripper = recipe.robot.spec().gripper
     axes = {
         axis: getattr(own, axis)
         or getattr(common, axis)
         or _scaled(axis, getattr(ranges, axis), entry.scale, gripper.lowest_mm)
         for axis in AXES[:-1]
     }
-    largest_n = max(axes["force_n"])
-    if problem := force_problem(largest_n, settings.max_force_n):
-        msg = f"objects/{entry.name}: grasp force_n {problem}, or give grid.force_n in the recipe"
-        raise RecipeError(msg)
-    if problem := settings.compliance_problem(largest_n, gripper.pad.depth_mm):
-        msg = f"objects/{entry.name}: grasp force_n {problem}"
+    if problem := _force_problem(recipe, max(axes["force_n"])):
+        msg = f"objects/{entry.name}: grasp force_n {problem}; give grid.force_n in the recipe"
         raise RecipeError(msg)
     has_yaw = entry.grid and "yaw_rad" in own.model_fields_set
     axes["yaw_rad"] = own.yaw_rad if has_yaw else common.yaw_rad
@@ -153,6 +132,81 @@ def _grid_of(recipe: Recipe, entry: ObjectEntry) -> dict[str, Any]:
         )
     listed = {axis: list(values) for axis, values in axes.items()}
     return {"object": entry.object_name, **listed, "sample": sample}
+
+
+def _force_problem(recipe: Recipe, force_n: float) -> str:
+    settings, pad = recipe.physics_settings, recipe.robot.spec().gripper.pad
+    problem = force_problem(force_n, settings.max_force_n)
+    return problem or settings.compliance_problem(force_n, pad.depth_mm) or ""
+
+
+def _listed(file: Path, recipe: Recipe, entry: ObjectEntry) -> dict[str, Any]:
+    """The grasps of one object in the list ``grid.file``, as plain data.
+
+    Columns: ``force_n``, ``y_mm`` and ``z_mm``; where they are given ``object`` (needed with
+    several objects), ``x_mm`` and ``yaw_rad`` (0), and ``split``; others are left aside.
+    """
+    table = _read_list(file, tuple(one.object_name for one in recipe.objects))
+    own = table[table["object"] == entry.object_name]
+    if own.empty:
+        msg = f"{file}: has no grasp of {entry.object_name}; add some, or take it out of `objects`"
+        raise RecipeError(msg)
+    checks: dict[str, Callable[[float], str]] = {
+        "force_n": partial(_force_problem, recipe),
+        **{axis: partial(_unit_problem, axis) for axis in ("z_mm", "yaw_rad")},
+    }
+    RecipeError.raise_if(
+        [
+            f"{file}, line {line}: {name} {problem}"
+            for name, problem_of in checks.items()
+            for line, value in zip(own.index + 2, own[name], strict=True)
+            if (problem := problem_of(value))
+        ]
+    )
+    own = own.drop_duplicates(list(AXES))
+    return {
+        "object": entry.object_name,
+        "points": own[list(AXES)].to_numpy(float).tolist(),
+        "split": own["split"].tolist() if "split" in own else None,
+    }
+
+
+def _unit_problem(axis: str, value: float) -> str:
+    problem = unit_problems(axis, np.array([value]))
+    return f"is {problem}" if problem else ""
+
+
+def _read_list(file: Path, names: tuple[str, ...]) -> pd.DataFrame:
+    """The list of grasps with all columns that a plan needs, in their types."""
+    try:
+        table = pd.read_csv(file, skipinitialspace=True)
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        msg = f"{file}: cannot be read as a CSV of grasps ({why}); `tacgen grid` prints one"
+        raise RecipeError(msg) from error
+    if len(names) == 1 and "object" not in table:
+        table["object"] = names[0]
+    missing = [name for name in ("object", "force_n", "y_mm", "z_mm") if name not in table]
+    if missing or table.empty or len(table) > MAX_GRASPS:
+        what = f"lacks the columns {', '.join(missing)}" if missing else f"has {len(table)} rows"
+        msg = f"{file}: {what}; `tacgen grid` prints such a list"
+        raise RecipeError(msg)
+    for axis in AXES:
+        table[axis] = pd.to_numeric(table.get(axis, 0.0), errors="coerce") + 0.0
+    allowed = {"object": set(names)} | ({"split": {"train", "test"}} if "split" in table else {})
+    wrong = {
+        **{axis: ~np.isfinite(table[axis]) for axis in AXES},
+        **{name: ~table[name].isin(values) for name, values in allowed.items()},
+    }
+    RecipeError.raise_if(
+        [
+            f"{file}, line {rows.index[rows][0] + 2}: {name} is not "
+            f"{'a number' if name in AXES else ' or '.join(sorted(allowed[name]))}"
+            for name, rows in wrong.items()
+            if rows.any()
+        ]
+    )
+    return table
 
 
 def _scaled(
@@ -173,25 +227,24 @@ def _points(seed: int, grids: Grids, there: Mapping[str, Sequence[Point]]) -> li
     """Every grasp of some objects' grids, in order; a sample holds those that are ``there``."""
     found: list[Point] = []
     for grid in grids:
-        name, sample = str(grid["object"]), grid["sample"]
-        if "chosen" in grid:
-            found += [(name, *map(float, point)) for point in grid["chosen"]]  # type: ignore[misc]
-            continue
-        points = _whole(grid)
+        name, sample = str(grid["object"]), grid.get("sample")
+        points = whole_grid(grid)
         if sample is not None and sample < len(points):
             kept = set(there.get(name, ()))
             left = [point for point in points if point not in kept]
-            left.sort(key=lambda point: _draw(seed, "sample", point))
+            left.sort(key=lambda point: draw(seed, "sample", point))
             kept |= set(left[: max(0, sample - len(kept))])
             points = [point for point in points if point in kept]
         found += points
     return found
 
 
-def _whole(grid: Mapping[str, Any]) -> list[Point]:
-    """Every point of an object's grid, in order."""
-    axes = [[float(value) + 0.0 for value in grid[axis]] for axis in AXES]
-    return [(str(grid["object"]), *values) for values in itertools.product(*axes)]  # type: ignore[misc]
+def whole_grid(grid: Mapping[str, Any]) -> list[Point]:
+    """Every point of an object's grid, or of its list, in order."""
+    name = str(grid["object"])
+    axes = [[float(value) + 0.0 for value in grid.get(axis, ())] for axis in AXES]
+    points = grid["points"] if "points" in grid else itertools.product(*axes)
+    return [(name, *map(float, point)) for point in points]  # type: ignore[misc]
 
 
 def _parts(seed: int, grids: Sequence[Grids]) -> list[list[Point]]:
@@ -212,135 +265,34 @@ def _by_object(parts: Sequence[Sequence[Point]]) -> dict[str, list[Point]]:
     return found
 
 
-def _total(grid: Mapping[str, Any]) -> int:
-    """How many grasps an object's grid asks for."""
-    size = math.prod(len(grid[axis]) for axis in AXES)
-    return min(grid["sample"] or size, size)
-
-
-def _adaptive(recipe: Recipe, entry: ObjectEntry) -> Adaptive | None:
-    own = entry.grid.adaptive if entry.grid else None
-    return own or recipe.grid.adaptive
-
-
-def _test_grasps(recipe: Recipe, n_grasps: int) -> int:
-    return round(recipe.split.test_fraction * n_grasps)
-
-
-def _batches(
-    recipe: Recipe, own: Grids, there: Mapping[str, Sequence[Point]]
-) -> list[dict[str, int]]:
-    """How many grasps of each object every batch to come adds; one batch if none is adaptive."""
-    count = {str(grid["object"]): len(there.get(str(grid["object"]), ())) for grid in own}
-    found: list[dict[str, int]] = []
-    while True:
-        more: dict[str, int] = {}
-        for entry, grid in zip(recipe.objects, own, strict=True):
-            name, adaptive = entry.object_name, _adaptive(recipe, entry)
-            step = total = _total(grid)
-            if adaptive is not None:
-                first = adaptive.first + _test_grasps(recipe, total)
-                step = adaptive.batch if count[name] else first
-            more[name] = max(0, min(step, total - count[name]))
-            count[name] += more[name]
-        if not any(more.values()):
-            return found
-        found.append(more)
-
-
-def _with_choice(
-    recipe: Recipe,
-    own: Grids,
-    more: Mapping[str, int],
-    known: Sequence[Point],
-    sides: Mapping[Point, str],
-    labels_of: Labels,
-) -> Grids | None:
-    """The records of the next batch; None where it follows from grasps that are not made yet.
-
-    What test grasps came to is not looked at: it would leak into the training set.
-    """
-    there = _by_object([known])
-    labels: IntArray | None = None
-    found: list[dict[str, Any]] = []
-    for entry, grid in zip(recipe.objects, own, strict=True):
-        name = entry.object_name
-        if _adaptive(recipe, entry) is None:
-            found.append(dict(grid))
-            continue
-        n_there = len(there.get(name, ()))
-        record = {**grid, "sample": n_there + more[name], "tests": 0}
-        if n_there == 0:
-            record["tests"] = _test_grasps(recipe, _total(grid))
-        elif more[name]:
-            labels = labels_of(len(known)) if labels is None else labels
-            if labels is None:
-                return None
-            own_rows = [k for k, point in enumerate(known) if point[0] == name]
-            rows = [k for k in own_rows if sides[known[k]] == "train"]
-            taken = {known[k] for k in own_rows}
-            made = [known[k] for k in rows]
-            record["chosen"] = _choice(recipe.seed, grid, taken, made, labels[rows], more[name])
-        found.append(record)
-    return found
-
-
-def _choice(
-    seed: int,
-    grid: Mapping[str, Any],
-    taken: Collection[Point],
-    made: Sequence[Point],
-    labels: IntArray,
-    count: int,
-) -> list[list[float]]:
-    """The values of ``AXES`` of an object's next grasps, sorted.
-
-    They follow from the ``labels`` of those ``made``, and are none of those ``taken``.
-    An axis counts by the places of its values: they lie as close as whoever listed them finds that
-    it matters, forces by equal factors.
-    """
-    place = [
-        {value: k / max(len(grid[axis]) - 1, 1) for k, value in enumerate(sorted(grid[axis]))}
-        for axis in AXES
-    ]
-
-    def places(points: Sequence[Point]) -> FloatArray:
-        numbers = [[at[value] for at, value in zip(place, p[1:], strict=True)] for p in points]
-        return np.array(numbers, np.float64)
-
-    # Ties go by the points' own draws, as do those that are looked at in a large grid.
-    open_to = [point for point in _whole(grid) if point not in taken]
-    open_to = sorted(open_to, key=lambda point: _draw(seed, "sample", point))[:MAX_CANDIDATES]
-    chosen = choose_near_border(places(made), labels, places(open_to), count)
-    return sorted(list(open_to[k][1:]) for k in chosen)
-
-
 def _splits(
     recipe: Recipe, grids: Sequence[Grids], parts: Sequence[Sequence[Point]]
 ) -> dict[Point, str]:
-    """The side of each grasp: of each object the test fraction, by the grasps' own draws.
+    """The side of each grasp: a list's own, else of each object the test fraction by draws.
 
-    A grasp that a dataset grows by changes no side of those before it. Once grasps were chosen,
-    those that are left are no random sample of the grid, and none of them is a test grasp.
+    A grasp that a dataset grows by changes no side of those before it.
     """
     sides: dict[Point, str] = {}
     counts: dict[str, tuple[int, int]] = {}  # grasps and test grasps of each object so far
-    only_train: set[str] = set()
     for grid, part in zip(grids, parts, strict=True):
         records = {str(record["object"]): record for record in grid}
         for name, points in itertools.groupby(part, key=lambda point: point[0]):
-            drawn = sorted(points, key=lambda point: _draw(recipe.seed, "split", point))
+            record = records[name]
+            drawn = sorted(points, key=lambda point: draw(recipe.seed, "split", point))
             n_before, tests = counts.get(name, (0, 0))
             n_total = n_before + len(drawn)
-            more = records[name].get("tests", _test_grasps(recipe, n_total) - tests)
-            more = 0 if name in only_train else min(max(more, 0), len(drawn))
-            sides |= {point: "test" if k < more else "train" for k, point in enumerate(drawn)}
-            counts[name] = n_total, tests + more
-            only_train |= {name} if "tests" in records[name] else set()
+            more = round(recipe.split.test_fraction * n_total) - tests
+            more = min(max(more, 0), len(drawn))
+            own = {point: "test" if k < more else "train" for k, point in enumerate(drawn)}
+            if record.get("split"):
+                listed = dict(zip(whole_grid(record), record["split"], strict=True))
+                own = {point: listed[point] for point in drawn}
+            sides |= own
+            counts[name] = n_total, tests + list(own.values()).count("test")
     return sides
 
 
-def _draw(seed: int, stream: str, point: Point) -> int:
+def draw(seed: int, stream: str, point: Point) -> int:
     """A random number below 2⁶³ of the recipe's seed and the grasp's own content alone."""
     digest = hashlib.sha256(repr((seed, stream, *point)).encode()).digest()
     return int.from_bytes(digest[:8], "big") >> 1

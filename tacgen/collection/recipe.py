@@ -19,9 +19,7 @@ from pydantic import (
     NonNegativeInt,
     PositiveFloat,
     PositiveInt,
-    SerializerFunctionWrapHandler,
     ValidationError,
-    model_serializer,
     model_validator,
 )
 
@@ -59,24 +57,13 @@ from tacgen.sensor.description import (
 )
 
 
-class Adaptive(Section):
-    """Training grasps chosen near the border between success and failure, in batches.
-
-    Test grasps and the ``first`` training grasps are drawn at random. Each further batch follows
-    from the labels of all training grasps before it.
-    """
-
-    first: PositiveInt = 30
-    """Training grasps drawn at random before the first choice, per object."""
-    batch: PositiveInt = 20
-    """Training grasps chosen at a time, per object."""
-
-
-class Grid(Section):
+class Grid(Located):
     """Axes of the grid of grasps; an axis that is not given has the object's own grasp ranges."""
 
-    later_keys: ClassVar[tuple[str, ...]] = ("adaptive",)
-
+    file: str | None = None
+    """A CSV that lists the grasps, as a path from the recipe's folder: ``object``, ``force_n``,
+    ``x_mm``, ``y_mm``, ``z_mm``, ``yaw_rad``, ``split``, as ``tacgen grid`` prints. The axes are
+    then those from which ``tacgen grid --near-border`` chooses more."""
     force_n: Axis | None = None
     """Force of each finger: a number, a list, ``{linspace: [first, last, count]}``,
     ``{geomspace: …}`` or ``{range: [first, last, step]}``."""
@@ -90,16 +77,20 @@ class Grid(Section):
     """Gripper's angle about z; at 0 the fingers close along world x."""
     sample: PositiveInt | None = None
     """Number of grasps drawn at random from the grid, per object; all if not given."""
-    adaptive: Adaptive | None = None
-    """Choose training grasps of the ``sample`` near the border between success and failure."""
+
+    def path(self) -> Path | None:
+        """The path of ``file``; None if the recipe gives axes."""
+        return None if self.file is None else _grasp_list_path(self.file, beside=self.folder)
+
+
+def _grasp_list_path(name: str, *, beside: Path | None = None) -> Path:
+    return (beside or Path()) / name
 
 
 class ObjectEntry(Located):
     """An object to grasp, with the values that differ from its ``object.yaml``."""
 
     path_key: ClassVar[str] = "name"
-    later_keys: ClassVar[tuple[str, ...]] = ("dataset_name", "added_mass_kg", "added_mass_at_mm")
-
     name: str
     """Name of an object (shipped, in ``./objects`` or in ``objects`` beside the recipe)."""
     dataset_name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")] | None = None
@@ -177,8 +168,6 @@ class Robot(Located):
 class Contact(Located):
     """The contact law: a calibrated ``contact.yaml``, or its coefficients."""
 
-    later_keys: ClassVar[tuple[str, ...]] = ("collision_margin_mm",)
-
     file: str | None = None
     """A ``contact.yaml``, as a path from the recipe's folder; replaces law and coefficients."""
     law: Literal["volume_linear", "linear_depth"] = "volume_linear"
@@ -230,12 +219,6 @@ class Optics(Section):
     ``auto`` on a GPU where there is one, or, to try it, on the ``cpu``, which is slower than
     ``none``. Grey levels differ by up to 1 from device to device."""
 
-    @model_serializer(mode="wrap")
-    def _as_before(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Without a device what was written before there was the key: the same hash."""
-        found: dict[str, Any] = write(self)
-        return {name: value for name, value in found.items() if (name, value) != ("device", "none")}
-
 
 class Split(Section):
     """Division into training and test grasps; no configuration is in both."""
@@ -260,8 +243,6 @@ def _depth_kept(given: Any) -> Any:
 class DatasetOptions(Section):
     """Content of the shards."""
 
-    later_keys: ClassVar[tuple[str, ...]] = ("markers", "force_field")
-
     shard_size: Annotated[PositiveInt, Field(le=MAX_SHARD_GRASPS)] = 25
     """Grasps per shard."""
     depth: Annotated[
@@ -277,13 +258,6 @@ class DatasetOptions(Section):
     every frame."""
     scene_pictures: bool = True
     """Also store a small picture of the scene for the gallery."""
-
-    @model_serializer(mode="wrap")
-    def _as_before(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        found = super()._as_before(write)
-        if "depth" in found:
-            found["depth"] = {"none": False, "grasp": True}.get(self.depth, self.depth)
-        return found
 
 
 class LookAt(Section):
@@ -530,10 +504,9 @@ class Recipe(Section):
         found = self.model_dump(
             mode="json", exclude={"physics": _BELONGS_TO_ROBOT, "cluster": True}
         )
-        if not self.scene.cameras:  # as it was written before there were cameras: the same hash
-            del found["scene"]
         if beside is not None:
             _name_from(beside, found["contact"], "file", self.contact, contact_law_path)
+            _name_from(beside, found["grid"], "file", self.grid, _grasp_list_path)
             _name_from(beside, found["robot"], "name", self.robot, gripper_file)
             _name_from(beside, found["sensor"], "name", self.sensor, sensor_path)
             if self.sensor.table is not None:
@@ -681,15 +654,9 @@ def _values_out_of_range(recipe: Recipe, source: YamlSource) -> Iterable[str]:
 
 def _values_that_need_others(recipe: Recipe, source: YamlSource) -> Iterable[str]:
     for key_path, grid in _grids(recipe).items():
-        sample, chosen = grid.sample or recipe.grid.sample, grid.adaptive
-        if chosen is not None and sample is None:
-            fix = "needs grid.sample: how many grasps of the grid there are to be, per object"
-            yield source.problem((*key_path, "adaptive"), fix)
-        elif chosen is not None and sample is not None:
-            n_train = sample - round(recipe.split.test_fraction * sample)
-            if chosen.first >= n_train:
-                fix = f"is to be less than the {n_train} training grasps of sample = {sample}"
-                yield source.problem((*key_path, "adaptive", "first"), f"= {chosen.first} {fix}")
+        if grid.file is not None and key_path != ("grid",):
+            fix = "lists the grasps of all objects; give it in the section `grid` of the recipe"
+            yield source.problem((*key_path, "file"), fix)
     contact = recipe.contact
     if contact.collision_margin_mm and (contact.file or contact.law != "linear_depth"):
         fix = "is of `law: linear_depth` alone; remove it"

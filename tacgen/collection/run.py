@@ -1,7 +1,6 @@
 """Collecting a dataset: the plan's shards, worked through by watched processes."""
 
 import contextlib
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -9,19 +8,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from tacgen.collection.grid import PlannedGrasp, grown_plan
 from tacgen.collection.pipeline import GraspPipeline, dataset_spec, frame_times_s, tactile_pad
 from tacgen.collection.recipe import Recipe, load_recipe
-from tacgen.core.arrays import IntArray
 from tacgen.core.disk import disk_errors
-from tacgen.core.errors import DatasetError, SensorError
+from tacgen.core.errors import SensorError
 from tacgen.core.optional_dependencies import require_extra
-from tacgen.core.progress import print_once, print_status, progress_counter
+from tacgen.core.progress import print_status, progress_counter
 from tacgen.core.records import LABEL_NOT_EXECUTED
 from tacgen.core.workers import Event, Report, run_tasks
-from tacgen.dataset import Dataset, DatasetFolder, DatasetSpec, GraspSample
+from tacgen.dataset import DatasetFolder, DatasetSpec, GraspSample
 from tacgen.dataset.gallery import Thumbnails, shown_grasps, thumbnails, write_gallery
 from tacgen.dataset.summary import write_card
 from tacgen.physics import GraspSimulator
@@ -97,8 +93,7 @@ def collect(
     recipe : Recipe, or the name or path of one
     out : path of the dataset's folder
     shards : sequence of int, optional
-        The share of this call; all by default. Where it follows from grasps of other shares
-        (``grid.adaptive``), those that no other process works on are made too.
+        The share of this call; all by default.
     redo : sequence of int
         Shards to make anew although they are there (a repair).
     grow : bool
@@ -127,29 +122,18 @@ def collect(
     folder = DatasetFolder(out)
     share = range(spec.n_shards) if shards is None else shards
     result = Collected(tuple(s for s in share if s not in redo and folder.is_done(s)))
-    done = set(result.found)
-    n_items = sum(len(spec.shard_range(shard)) for shard in share if shard not in done)
+    wanted = [shard for shard in share if shard not in result.found]
+    n_items = sum(len(spec.shard_range(shard)) for shard in wanted)
+    job = partial(_shard_job, recipe, planned, folder.root, spec, frozenset(redo))
     with progress_counter("grasp", enabled=progress and n_items > 0) as show:
-
-        def make(wanted: Sequence[int]) -> None:
-            job = partial(_shard_job, recipe, planned, folder.root, spec, frozenset(redo))
-            for event in run_tasks(wanted, job, workers=workers, item_limit_s=item_limit_s):
-                result.add(event)
-                n_made = len(result.labels) + len(result.crashed)
-                show(n_made, max(n_items, n_made), f"{result.n_succeeded} succeeded")
-                if progress and event.kind in ("crashed", "retried"):
-                    is_grasp = event.kind == "crashed"
-                    what = f"grasp {event.item}" if is_grasp else f"shard {event.task}"
-                    print_status(f"{what} {event.kind}: {event.value}")
-
-        while True:
-            n_known = planned[-1].shard + 1
-            make([shard for shard in share if shard < n_known and shard not in done])
-            done |= set(range(n_known))
-            if all(shard in done for shard in share):
-                break
-            _finish_batch(folder, n_known, make)
-            planned, spec = prepare(recipe, out, grow=grow)
+        for event in run_tasks(wanted, job, workers=workers, item_limit_s=item_limit_s):
+            result.add(event)
+            n_made = len(result.labels) + len(result.crashed)
+            show(n_made, max(n_items, n_made), f"{result.n_succeeded} succeeded")
+            if progress and event.kind in ("crashed", "retried"):
+                is_grasp = event.kind == "crashed"
+                what = f"grasp {event.item}" if is_grasp else f"shard {event.task}"
+                print_status(f"{what} {event.kind}: {event.value}")
     result.made.sort()
     result.claimed_elsewhere = sorted({*result.claimed_elsewhere} - {*result.made})
     is_whole = bool(result.made or result.found) and len(folder.merge()) == spec.n_shards
@@ -160,30 +144,10 @@ def collect(
     return result
 
 
-def _finish_batch(
-    folder: DatasetFolder, n_known: int, make: Callable[[Sequence[int]], None]
-) -> None:
-    """Wait until the first ``n_known`` shards are done, which the next batch follows from.
-
-    Those that no other process works on are made here, whosever share they are: a job never waits
-    for one that has not begun or was ended.
-    """
-    while missing := [shard for shard in range(n_known) if not folder.is_done(shard)]:
-        held = {shard for shard, _ in folder.running()}
-        if free := [shard for shard in missing if shard not in held]:
-            make(free)
-        else:
-            print_once("the next grasps follow from shards that other processes make; waiting")
-            time.sleep(_WAIT_S)
-
-
 def prepare(
     recipe: Recipe, out: Path, *, grow: bool = False
 ) -> tuple[tuple[PlannedGrasp, ...], DatasetSpec]:
     """Make ``out`` ready for the dataset of ``recipe``: its grasps, and what they have in common.
-
-    The grasps of an adaptive recipe are those of the batches so far, and of the next one where all
-    of these are made.
 
     Raises ``DatasetError`` if the folder cannot be written to or holds another dataset,
     ``SensorError`` if the device that is to draw the images is not here.
@@ -195,35 +159,14 @@ def prepare(
         from tacgen.batch.pad_images import name_of
 
         drawn_by = name_of(device, tactile_pad(recipe))
-    while True:
-        grids = folder.grids()
-        plan = grown_plan(recipe, grids, partial(_labels, folder))
-        spec = dataset_spec(
-            recipe, sum(plan.parts), grids=plan.grids, parts=plan.parts, folder=folder.root
-        )
-        if drawn_by:
-            spec = replace(spec, inputs=spec.inputs.drawn_by(drawn_by))
-        try:
-            folder.prepare(spec, grow=grow)
-        except DatasetError:
-            if folder.grids() == grids:
-                raise
-            continue  # another process has added the next batch meanwhile
-        if not plan.n_to_choose or _labels(folder, len(plan.grasps)) is None:
-            return plan.grasps, spec
-
-
-def _labels(folder: DatasetFolder, n_grasps: int) -> IntArray | None:
-    """The labels of the first grasps of a dataset; None where some are not made yet."""
-    n_made = 0
-    for line in folder.manifest().values():
-        if line.index_range[0] != n_made or not folder.is_done(line.shard):
-            break
-        n_made = line.index_range[1]
-    if n_made < n_grasps:
-        return None
-    with contextlib.closing(Dataset(folder.root, partial=True, check_hashes=False)) as dataset:
-        return np.asarray(dataset.columns()["label"][:n_grasps], np.int64)
+    plan = grown_plan(recipe, folder.grids())
+    spec = dataset_spec(
+        recipe, len(plan.grasps), grids=plan.grids, parts=plan.parts, folder=folder.root
+    )
+    if drawn_by:
+        spec = replace(spec, inputs=spec.inputs.drawn_by(drawn_by))
+    folder.prepare(spec, grow=grow)
+    return plan.grasps, spec
 
 
 def describe(recipe: Recipe, out: Path) -> dict[str, Any]:
@@ -231,13 +174,11 @@ def describe(recipe: Recipe, out: Path) -> dict[str, Any]:
     folder = DatasetFolder(out)
     plan = grown_plan(recipe, folder.grids())
     n_shards = sum(-(-part // recipe.dataset.shard_size) for part in plan.parts)
-    to_choose = {"grasps_to_choose": plan.n_to_choose} if plan.n_to_choose else {}
     return {
         "recipe": recipe.name,
         "out": str(out),
         "objects": [entry.object_name for entry in recipe.objects],
-        "grasps": sum(plan.parts),
-        **to_choose,
+        "grasps": len(plan.grasps),
         "frames_a_grasp": len(frame_times_s(recipe)),
         "shards": n_shards,
         "shards_done": sum(folder.is_done(shard) for shard in range(n_shards)),

@@ -13,8 +13,6 @@ from pydantic import (
     ConfigDict,
     FiniteFloat,
     PrivateAttr,
-    SerializerFunctionWrapHandler,
-    model_serializer,
 )
 
 MAX_AXIS_VALUES = 10_000  # more is a misspelt axis
@@ -24,15 +22,6 @@ class Section(BaseModel):
     """A part of a YAML file: frozen, and no key that is not known."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", use_attribute_docstrings=True)
-
-    later_keys: ClassVar[tuple[str, ...]] = ()
-    """Keys that came later: where they ask for nothing, they are not written."""
-
-    @model_serializer(mode="wrap")
-    def _as_before(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Where later keys ask for nothing, what was written without them: the same hash."""
-        found: dict[str, Any] = write(self)
-        return {name: one for name, one in found.items() if one or name not in self.later_keys}
 
 
 def as_named(given: Any) -> Any:

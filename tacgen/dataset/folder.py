@@ -298,8 +298,7 @@ class DatasetFolder:
         """Raise a ``DatasetError`` where a dataset that was ``made`` is not that of ``plan``."""
         roles = changed_roles(made["inputs"], plan["inputs"])
         roles = [role for role in roles if not role.startswith(GRID)]  # see the parts
-        # Batches that are not chosen yet have their number of grasps there, but no grid.
-        n_parts = len(made["grids"] or made["parts"])
+        n_parts = len(made["parts"])
         is_grown = made["parts"][:n_parts] == plan["parts"][:n_parts]
         is_grown &= made["grids"] in ([], plan["grids"][:n_parts])
         is_grown &= made["n_grasps"] < plan["n_grasps"] or made["parts"] == plan["parts"]
@@ -312,8 +311,6 @@ class DatasetFolder:
         is_said = any(role.endswith("recipe") for role in roles)
         if made["recipe_sha256"] != plan["recipe_sha256"] or is_said or not is_grown:
             lines += self._changed_settings(made, plan, spec.recipe)
-        elif not grow:
-            lines += self._changed_choice(spec.recipe)
         lines += [text for role in roles for text in _changed_input(role, made, plan, spec)]
         if not lines and is_grown and (made["parts"] == plan["parts"] or grow):
             return
@@ -340,27 +337,6 @@ class DatasetFolder:
                 text for text in differences(old, new) if text.partition(":")[0] not in uncounted
             ]
         return list(differences(made["recipe_sha256"], plan["recipe_sha256"], "recipe_sha256"))
-
-    def _changed_choice(self, recipe: Mapping[str, Any]) -> list[str]:
-        """Where grasps are now to be chosen otherwise than those of the dataset (``adaptive``)."""
-        lines: list[str] = []
-        with contextlib.suppress(RecipeError):
-            old, new = _adaptive_of(self.recipe()), _adaptive_of(recipe)
-            for name in old.keys() & new.keys():
-                if old[name] and new[name]:
-                    lines += differences(old[name], new[name], f"{name}: grid.adaptive")
-        return sorted(lines)
-
-
-def _adaptive_of(recipe: Mapping[str, Any]) -> dict[str, Any]:
-    """By object: how a recipe chooses its grasps; none where they are drawn at random."""
-    found: dict[str, Any] = {}
-    for entry in recipe.get("objects") or ():
-        if isinstance(entry, Mapping):
-            grids = [entry.get("grid") or {}, recipe.get("grid") or {}]
-            chosen = [one["adaptive"] for one in grids if one.get("adaptive")]
-            found[str(entry.get("dataset_name") or entry.get("name"))] = next(iter(chosen), None)
-    return found
 
 
 def _changed_input(

@@ -50,8 +50,7 @@ class ShardLine:
     in ``versions``; ``device`` drew the images, where the recipe asks for one; ``validity`` counts
     the ``frames``, and the ``grasps`` at their moment, that do not show the whole force, by the
     flags of the schema; ``part`` is 0, or counts how often the dataset had grown when the shard was
-    added; ``chosen`` says that it holds training grasps that were chosen near the border between
-    success and failure (``grid.adaptive`` of the recipe).
+    added.
     """
 
     schema: Literal[1] = 1
@@ -78,7 +77,6 @@ class ShardLine:
     engine: str
     part: NonNegativeInt
     device: str = ""
-    chosen: bool = False
 
     @model_validator(mode="after")
     def _checked(self) -> "ShardLine":
@@ -103,7 +101,7 @@ class ShardLine:
 
     def to_json(self) -> str:
         """One line, the same for the same shard; without later keys that say nothing."""
-        later = ("device", "chosen")
+        later = ("device",)
         found = {name: value for name, value in asdict(self).items() if value or name not in later}
         return json.dumps(found, sort_keys=True)
 

@@ -252,11 +252,6 @@ class DatasetSpec:
         return shard_range(self.part_sizes, self.shard_size, shard)[1]
 
 
-def is_chosen(grids: Sequence[Any], part: int) -> bool:
-    """Whether a part of a dataset with these grids holds grasps that were chosen."""
-    return part < len(grids) and any("chosen" in record for record in grids[part])
-
-
 def shard_range(parts: Sequence[int], shard_size: int, shard: int) -> tuple[int, range]:
     """The part that a shard belongs to and the indices of its grasps; none beyond the last."""
     start = 0

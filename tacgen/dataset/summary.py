@@ -32,8 +32,8 @@ def summarize(root: Path | str) -> dict[str, Any]:
     be executed, reasons that differ only in numbers as the first of them. ``validity`` counts the
     frames of executed grasps and those whose images do not show the whole force. ``inputs`` are the
     hashes of all that the shards depend on, ``parts`` the grasps at first and those that each
-    growth added, ``chosen`` those that were chosen near the border. ``arrays`` are the images and
-    what is kept of the touch: of which shape (without the grasps; those of a camera as
+    growth added, ``listed`` whether they stand in a list (``grid.file``). ``arrays`` are the
+    images and what is kept of the touch: of which shape (without the grasps; those of a camera as
     ``camera/<name>/…``), and the bytes a grasp takes of all pads, before compression
     (``raw_bytes``) and in the first shard. ``blind_cameras`` show the object in no image of that.
 
@@ -73,7 +73,7 @@ def summarize(root: Path | str) -> dict[str, Any]:
         "colors_from": plan.get("colors_from", "not recorded"),
         "inputs": dict(sorted(inputs.items())),
         "parts": [parts[k] for k in sorted(parts)],
-        "chosen": sum(line.n_grasps for line in lines if line.chosen),
+        "listed": any("points" in one for grid in plan.get("grids", ()) for one in grid),
         "shards": len(lines),
         "shards_planned": plan.get("n_shards", len(lines)),
         "grasps": n_grasps,
@@ -126,16 +126,14 @@ def _arrays(folder: DatasetFolder, line: ShardLine) -> dict[str, dict[str, Any]]
 
 def sampling_text(summary: Mapping[str, Any]) -> str:
     """How the grasps came out of the grid, where not all at once and at random; else empty."""
-    parts, n_chosen = summary["parts"], summary["chosen"]
-    if n_chosen:
-        return (
-            f"{n_chosen} training grasps were chosen near the border between success and failure, "
-            "in batches, so rates of success are not the grid's; the other "
-            f"{summary['grasps'] - n_chosen}, all test grasps among them, were drawn at random"
-        )
+    parts = summary["parts"]
+    text = ""
     if len(parts) > 1:
-        return f"{parts[0]} grasps at first, then {', then '.join(map(str, parts[1:]))} more"
-    return ""
+        text = f"{parts[0]} grasps at first, then {', then '.join(map(str, parts[1:]))} more"
+    if summary["listed"]:
+        listed = "grasps of a list (grid.file), so rates of success are the list's, not a grid's"
+        text = f"{text}; {listed}" if text else listed
+    return text
 
 
 def none_executed(summary: Mapping[str, Any]) -> bool:

@@ -12,7 +12,7 @@ from tacgen.dataset import manifest
 from tacgen.dataset.check import byte_problems, content_problems
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.inputs import changed_roles
-from tacgen.dataset.samples import is_chosen, shard_range
+from tacgen.dataset.samples import shard_range
 
 _FOREIGN = "no shard of this dataset: remove it, and the .json of its name"
 
@@ -158,7 +158,6 @@ def _plan_problems(
         differing += changed_roles(line.inputs, plan["inputs"])
         is_beyond = 0 < len(plan["grids"]) <= line.part
         differing += ["grid"] if is_beyond else []
-        differing += ["sampling"] if line.chosen != is_chosen(plan["grids"], line.part) else []
         odd += [(line, ", ".join(differing))] if differing else []
     for line, what in odd:
         if len(odd) == len(lines):  # the one file is wrong, or all shards are to be made anew

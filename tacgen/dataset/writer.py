@@ -15,7 +15,7 @@ from tacgen.dataset.check import GraspFacts, tally, validity
 from tacgen.dataset.compression import storage_of, write_images
 from tacgen.dataset.inputs import library_versions
 from tacgen.dataset.manifest import ShardLine, shard_file
-from tacgen.dataset.samples import DatasetSpec, GraspSample, is_chosen, shard_range
+from tacgen.dataset.samples import DatasetSpec, GraspSample, shard_range
 from tacgen.dataset.schema import (
     CAMERAS,
     FORMAT_VERSION,
@@ -89,7 +89,6 @@ def write_shard_file(
         engine=spec.inputs.engine,
         device=spec.inputs.device,
         part=part,
-        chosen=is_chosen(spec.grids, part),
         validity=validity(small, layout),
         **tally(outcomes),
     )

@@ -12,8 +12,6 @@ from pydantic import (
     NonNegativeInt,
     PositiveFloat,
     PositiveInt,
-    SerializerFunctionWrapHandler,
-    model_serializer,
 )
 
 from tacgen.core.config import Section
@@ -84,16 +82,6 @@ class InputOptions(Section):
     detect the ``outcome``, which its last frames show."""
     cache_mb: NonNegativeInt = 1024
     """Memory for resized images."""
-
-    @model_serializer(mode="wrap")
-    def _as_before(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Of images alone, what was written before there were other channels: the same hash."""
-        found: dict[str, Any] = write(self)
-        if self.channels == ("image",):
-            found.pop("channels", None)
-        if self.camera is None:
-            found.pop("camera", None)
-        return found
 
 
 class Augmentation(Section):

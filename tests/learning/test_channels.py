@@ -110,10 +110,7 @@ def test_channels_that_are_none_are_refused(channels, tmp_path):
         load_train_recipe(path)
 
 
-def test_a_training_recipe_of_images_is_hashed_as_before():
-    plain = recipe_of()
-    assert "channels" not in plain.resolved()["input"]
-    assert recipe_of(input={"channels": ["image"]}).sha256() == plain.sha256()
+def test_the_order_of_channels_does_not_matter():
     both = recipe_of(input={"channels": ["markers", "image"]})
     assert both.resolved()["input"]["channels"] == ["image", "markers"]
     assert TrainRecipe.model_validate(both.resolved()) == both

@@ -223,7 +223,7 @@ def test_a_misspelt_key_of_a_row_s_recipes_is_told_with_those_there_are(tmp_path
     with pytest.raises(RecipeError) as caught:
         load_study(path)
     text = str(caught.value)
-    assert "grid.smple is not a known key (did you mean 'sample'?); known here: adaptive," in text
+    assert "grid.smple is not a known key (did you mean 'sample'?); known here: file," in text
     assert "inptu is not a known key (did you mean 'input'?)" in text
 
 

@@ -27,7 +27,7 @@ from sklearn.svm import SVC
 from tacgen.collection.border import choose_near_border
 from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
-from tacgen.collection.recipe import Adaptive, Recipe
+from tacgen.collection.recipe import Recipe
 from tacgen.core.files import atomic_path, write_text
 from tacgen.core.progress import print_status
 from tacgen.core.workers import map_in_processes
@@ -49,6 +49,7 @@ ALL = "mean of the objects"
 AXES = ("force_n", "y_mm", "z_mm")
 TEST_PART = 3  # one of so many grasps of the grid
 COUNTS = (30, 50, 70, 90, 130, 170, 230, 310)
+BATCH = 20  # grasps chosen at a time, as `tacgen grid --near-border` does
 READ_AT = (170, 310)
 """Numbers of random grasps whose accuracy the others are to reach."""
 RESAMPLINGS, INTERVAL = 2000, (2.5, 97.5)
@@ -88,10 +89,11 @@ def accuracies(name: str, seed: int, folder: Path) -> dict[str, dict[str, list[f
         for count in COUNTS:
             while len(taken) < count:
                 left = pool[~np.isin(pool, taken)]
-                step = Adaptive().batch
                 if sampling == "adaptive":
-                    left = left[choose_near_border(places[taken], label[taken], places[left], step)]
-                taken = np.concatenate([taken, left[:step]])
+                    left = left[
+                        choose_near_border(places[taken], label[taken], places[left], BATCH)
+                    ]
+                taken = np.concatenate([taken, left[:BATCH]])
             for kind, score in _scores(places, label, taken[label[taken] >= 0], test).items():
                 scores.setdefault(kind, []).append(score)
     return found
