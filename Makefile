@@ -1,12 +1,20 @@
 # Everything runs in .venv, which `setup` makes from the lock files; `demo` needs no extra.
-# The newest Python that can make it; another one: make PYTHON=python3.11 (with a VENV of its own).
+# The newest Python that runs and can make it, on the PATH or of pyenv, whose shims fail where no
+# version is set; another one: make PYTHON=python3.11 (with a VENV of its own).
 VENV ?= .venv
-PYTHON ?= $(shell for p in python3.13 python3.12 python3.11 python3; do \
-	$$p scripts/check_python.py 2>/dev/null && echo $$p && exit; done; echo python3)
+PYTHON ?= $(shell for v in 13 12 11; do \
+	for p in python3.$$v $${PYENV_ROOT:-$$HOME/.pyenv}/versions/3.$$v.*/bin/python; do \
+	$$p scripts/check_python.py 2>/dev/null && echo $$p && exit; done; done; echo python3)
 BIN := $(VENV)/bin
 BASE := $(VENV)/.base
 READY := $(VENV)/.ready
 PIP := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check
+# Runs a long command, and says every 20 s that it does.
+define patiently
+@(s=0; while sleep 20 >/dev/null 2>&1; do s=$$((s + 20)); \
+	echo "  $$s s: $$(du -sm $(VENV) | cut -f1) MB are in $(VENV)"; done) & \
+	beat=$$!; trap "kill $$beat" EXIT; $(1)
+endef
 # A test process is one core's work: libraries that start threads in each slow one another down.
 # One more than cores, since some tests wait for processes of their own.
 # Tests start many processes, which shall not compile the package each.
@@ -22,8 +30,7 @@ $(BASE): pyproject.toml requirements.lock
 	@$(PYTHON) scripts/check_python.py
 	@echo "Setting up $(VENV) with $$($(PYTHON) --version): some 400 MB to download"
 	@$(PYTHON) -m venv $(VENV)
-	@$(PIP) --upgrade pip
-	@$(PIP) --constraint requirements.lock --editable .
+	$(call patiently,$(PIP) --upgrade pip && $(PIP) --constraint requirements.lock --editable .)
 	@touch $@
 
 # LEARN= leaves PyTorch, Warp and the tests that need them out.
@@ -32,7 +39,7 @@ LEARN ?= requirements-learn.lock
 $(READY): $(BASE) $(LEARN)
 	@echo "Adding the tools of development and every extra but PyTorch and Warp: some 300 MB to download"
 	@$(if $(LEARN),echo "and PyTorch and Warp: 2.7 GB with CUDA or 0.4 GB for a CPU build")
-	@$(PIP) -r requirements.lock $(addprefix -r ,$(LEARN))
+	$(call patiently,$(PIP) -r requirements.lock $(addprefix -r ,$(LEARN)))
 	@touch $@
 
 demo: $(BASE)

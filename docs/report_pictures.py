@@ -50,12 +50,12 @@ REPORTS: dict[str, tuple[str, Sequence[str]]] = {
          "force", "tomato soup can</b>", "grip"),
     ),
     "lookup": (
-        "report_lookup/report.html",
+        "report_lookup/index.html",
         ("Held-out presses", "Error of each held-out press", "Fit and residual", "Scale and balls",
          "What to press next"),
     ),
     "contact": (
-        "report_contact/contact.html",
+        "report_contact/index.html",
         ("Normal: fit and residual", "Normal: k_n by indenter", "Normal: error of held-out presses",
          "Warnings", "What to press next"),
     ),
@@ -75,13 +75,13 @@ REPORTS: dict[str, tuple[str, Sequence[str]]] = {
         ("tomato_soup_can", "Mislabels before and after", "Each candidate alone",
          "Explanations, together", "Real grasps to make next"),
     ),
-    "friction": ("friction/report.html", ("tomato_soup_can</h2>", "Friction by object")),
+    "friction": ("friction/index.html", ("tomato_soup_can</h2>", "Friction by object")),
     "training": (
-        "run/models/tomato_soup_can/report.html",
+        "run/models/tomato_soup_can/index.html",
         ("Curves", "Validation grasps: confusion", "Validation grasps: scores", "What was trained"),
     ),
     "evaluation": (
-        "run/eval.html",
+        "run/index.html",
         ("Confusion", "Calibration", "Overall", "By force", "Misclassified grasps"),
     ),
 }  # fmt: skip

@@ -275,7 +275,7 @@ def friction(
         )
     warnings = sweep.data_warnings(grasps, outcomes, sweep.mu_range(mu))
     common.warn(warnings)
-    write_friction_report(out / "report.html", grasps, outcomes, fits, warnings)
+    write_friction_report(out / "index.html", grasps, outcomes, fits, warnings)
     if write_objects:
         sweep.write_object_copies(fits, out / "objects", loaded, grasps.kind)
     verdicts = [verdict_of(name, fit) for name, fit in sweep.friction_json(fits).items()]

@@ -12,7 +12,7 @@ import typer
 from typer import Argument, Option
 from typer.core import TyperGroup
 
-from tacgen.core.errors import readable
+from tacgen.core.errors import did_you_mean, readable
 from tacgen.core.progress import LOG, is_quiet
 from tacgen.core.resources import object_folders, packaged, sensor_files
 from tacgen.core.workers import available_cores
@@ -43,8 +43,16 @@ class _InOrderOfWork(TyperGroup):
         known = [name for name in ORDER_OF_WORK if name in names]
         return [*known, *(name for name in names if name not in known)]
 
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Name the one command that resembles an unknown one."""
+        if self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
+            ctx.fail(f"No such command {args[0]!r}{did_you_mean(args[0], self.commands)}")
+        return super().resolve_command(ctx, args)
+
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Accept ``-v`` and ``-q`` after a command too."""
+        """Accept ``-v`` and ``-q`` after a command too, and ``help`` before one."""
+        if args[:1] == ["help"]:
+            args = [*args[1:], "--help"]
         end = args.index("--") if "--" in args else len(args)
         if "--out=" in args[:end] or ("--out", "") in itertools.pairwise(args[:end]):
             msg = "is empty (a variable that is not set?); give a folder or a file"

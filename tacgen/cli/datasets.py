@@ -42,7 +42,9 @@ def collect(
     from tacgen.collection.run import collect as run
     from tacgen.collection.run import describe
     from tacgen.core.errors import VerificationError
+    from tacgen.dataset.check import OUTCOME
     from tacgen.dataset.summary import (
+        cut_off_line,
         none_executed,
         not_executed_lines,
         summarize,
@@ -65,14 +67,20 @@ def collect(
         loaded, out, workers=workers, shards=share, redo=redo, grow=grow,
         item_limit_s=grasp_limit_s, progress=not json_output,
     )  # fmt: skip
-    common.print_record(result.summary(), json_output)
+    record, summary = result.summary(), None
+    if result.made or result.found:
+        summary = summarize(out)
+        counts, names = summary["counts"], ("successes", "failures", "not_executed")
+        record["grasps_held"] = summary["grasps"]
+        record |= dict(zip(names, map(counts.__getitem__, OUTCOME.values()), strict=True))
+    common.print_record(record, json_output)
     if not share:
         typer.echo(f"nothing to do: part {part} of {parts} has no shard", err=True)
     if found and found.foreign:
         raise VerificationError.from_problems([f"{out}/{line}" for line in found.foreign])
-    if not (result.made or result.found):
+    if summary is None:
         return
-    summary = summarize(out)
+    common.note(cut_off_line(summary))
     common.warn([*not_executed_lines(summary), *validity_lines(summary)])
     if none_executed(summary):
         raise typer.Exit(1)

@@ -210,4 +210,4 @@ def study(
     result = run_study(load_study(recipe), out, given, rows=row or (), quick=quick, workers=workers)
     common.print_result(result, (out / "table.md").read_text(encoding="utf-8"), json_output)
     check_finished(result)
-    common.hand_over(f"open {out / 'table.html'} in a browser")
+    common.hand_over(f"open {out / 'index.html'} in a browser")

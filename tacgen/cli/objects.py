@@ -76,8 +76,8 @@ def objects_add(
 ) -> None:
     """Import a mesh into ./objects; recipes can then name it."""
     from tacgen.core.errors import ObjectError
-    from tacgen.core.progress import progress_counter
-    from tacgen.objects.add import STEPS, add_object
+    from tacgen.core.progress import print_status
+    from tacgen.objects.add import add_object
     from tacgen.objects.description import read_description
     from tacgen.objects.listing import facts_text, object_facts
     from tacgen.objects.mesh_import import meshes_in
@@ -88,28 +88,24 @@ def objects_add(
         msg = f"{mesh}: --name is for one mesh, the folder has {len(meshes)}; leave it out"
         raise ObjectError(msg)
     records, texts, done = [], [], list[str]()
-    with progress_counter("step") as show:
-        for number, path in enumerate(meshes):
-
-            def on_step(step: str, number: int = number, path: Path = path) -> None:
-                done_steps = len(STEPS) * number + STEPS.index(step)
-                show(done_steps, len(STEPS) * len(meshes), f"{path.name}: {step}")
-
-            try:
-                added = add_object(
-                    path, mass_kg=mass_kg, scale=scale, name=name, friction=friction, up=up,
-                    yaw_rad=yaw_rad, keep_pose=keep_pose, force=force, on_step=on_step,
-                )  # fmt: skip
-            except ObjectError as error:
-                refused.append(str(error))
-                continue
-            common.note(added.notes)
-            folder = Path("objects") / added.object.name
-            facts = object_facts(added.object, read_description(folder))
-            write_picture(added.object, folder / "picture.png", added.toppled_from)
-            records.append(facts)
-            texts.append(facts_text(facts))
-            done.append(added.object.name)
+    for number, path in enumerate(meshes, start=1):
+        of = f" ({number} of {len(meshes)})" if len(meshes) > 1 else ""
+        try:
+            added = add_object(
+                path, mass_kg=mass_kg, scale=scale, name=name, friction=friction, up=up,
+                yaw_rad=yaw_rad, keep_pose=keep_pose, force=force,
+                on_step=lambda step, where=f"{path.name}{of}": print_status(f"{where}: {step}"),
+            )  # fmt: skip
+        except ObjectError as error:
+            refused.append(str(error))
+            continue
+        common.note(added.notes)
+        folder = Path("objects") / added.object.name
+        facts = object_facts(added.object, read_description(folder))
+        write_picture(added.object, folder / "picture.png", added.toppled_from)
+        records.append(facts)
+        texts.append(facts_text(facts))
+        done.append(added.object.name)
     if not done:
         raise ObjectError.from_problems(refused)
     common.warn(refused, "refused")

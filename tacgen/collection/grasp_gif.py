@@ -11,6 +11,8 @@ from tacgen.collection.recipe import Recipe
 from tacgen.core.errors import RecipeError
 from tacgen.core.files import atomic_path
 from tacgen.core.images import side_by_side
+from tacgen.dataset.schema import FLAG_WORDS
+from tacgen.dataset.summary import CHANGE
 
 MAX_WIDTH_PX = 420  # of each pad's image: several fit beside one another on a page
 LEAST_FRAME_MS = 100  # viewers slow down animations that are faster
@@ -18,6 +20,8 @@ LEAST_FRAME_MS = 100  # viewers slow down animations that are faster
 
 def write_gif(recipe: Recipe, index: int, path: Path) -> str:
     """Simulate a grasp and write the frames of its pads, side by side; how the grasp ended.
+
+    That includes what its pictures lack at the moment of grasp, and what to change.
 
     Raises ``RecipeError`` if the recipe has no such grasp, or it could not be executed.
     """
@@ -43,4 +47,9 @@ def write_gif(recipe: Recipe, index: int, path: Path) -> str:
             duration=round(max(step_ms, LEAST_FRAME_MS)),
             loop=0,
         )
-    return "success" if sample.label == 1 else sample.failure_mode or sample.status
+    outcome = "success" if sample.label == 1 else sample.failure_mode or sample.status
+    flags = {name: pad.flags(sample.grasp_frame) for name, pad in sample.pads.items()}
+    found = [outcome, *(f"{pad} pad: {', '.join(words)}" for pad, words in flags.items() if words)]
+    if any(FLAG_WORDS["nothing_to_see"] in words for words in flags.values()):
+        found.append(CHANGE)
+    return "; ".join(found)

@@ -23,6 +23,7 @@ from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import SensorError, TableError
 from tacgen.core.optional_dependencies import require_extra
 from tacgen.core.records import ContactFrame, GraspConfig, GraspObject, GraspTrace
+from tacgen.core.visible import visible_share
 from tacgen.dataset import CameraSample, DatasetSpec, GraspSample, PadSample
 from tacgen.optics import load_table
 from tacgen.physics import FrameRequest, GraspSimulator
@@ -79,6 +80,7 @@ class GraspPipeline:
         self.recipe, self._settings = recipe, recipe.physics_settings
         self._law = contact_law(recipe.contact)
         self._pad = tactile_pad(recipe)
+        self._at_rest = self._pad.image(Imprint())
         self._on_device = None
         if device != "none":
             require_extra("batch", f"optics.device = {device!r} needs", SensorError)
@@ -270,7 +272,10 @@ class GraspPipeline:
                 frames, imprints = (_UNLOADED,) * count, [Imprint()] * count
                 images = np.stack([self._pad.image(one, rng=noise) for one in imprints])
             rgb = with_gain(images, grasp.variation.gain_factor)
-            samples[pad] = self._pad_sample(rgb, frames, imprints, trace.grasp_frame)
+            shares = [
+                visible_share(one, self._at_rest, self._pad.table.noise_grey) for one in images
+            ]
+            samples[pad] = self._pad_sample(rgb, frames, imprints, trace.grasp_frame, shares)
         return samples
 
     def _noise_of(
@@ -286,15 +291,21 @@ class GraspPipeline:
         frames: Sequence[ContactFrame],
         imprints: Sequence[Imprint],
         moment: int,
+        shares: Sequence[float],
     ) -> PadSample:
+        statuses = np.array([imprint.status for imprint in imprints])
+        no_contact = statuses == "no_contact"
         return PadSample(
             rgb=rgb,
             force_normal_n=np.array([frame.force_normal_n for frame in frames]),
             force_shear_n=np.array([frame.force_shear_n for frame in frames]),
             indentation_mm=np.array([imprint.indentation_mm for imprint in imprints]),
             saturated=np.array([imprint.saturated for imprint in imprints]),
-            no_contact=np.array([imprint.status == "no_contact" for imprint in imprints]),
-            outside_window=np.array([imprint.status == "outside_window" for imprint in imprints]),
+            no_contact=no_contact,
+            nothing_to_see=(np.array(shares) == 0) & ~no_contact,
+            outside_window=statuses == "outside_window",
+            outside_share=np.stack([self._pad.indenter.outside_share(one) for one in imprints]),
+            visible_share=np.array(shares),
             **self._touch(frames, imprints, moment),
         )
 

@@ -68,10 +68,11 @@ class Collected:
             "shards_found": len(self.found),
             **(elsewhere if self.claimed_elsewhere else {}),
             "grasps_made": len(self.labels) + len(self.crashed),
+            "crashed": len(self.crashed),
+            "grasps_held": len(self.labels) + len(self.crashed),
             "successes": labels[1],
             "failures": labels[0],
             "not_executed": labels[-1],
-            "crashed": len(self.crashed),
         }
 
 

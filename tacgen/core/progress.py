@@ -7,6 +7,7 @@ also tracebacks.
 import contextlib
 import functools
 import logging
+import math
 import sys
 import threading
 import time
@@ -19,6 +20,7 @@ tqdm.set_lock(threading.RLock())
 
 LOG = logging.getLogger("tacgen")
 LINE_EVERY_S = 60.0  # interval of progress lines in logs
+FIRST_SHARE = 0.1  # of the time until the first is done, by which other processes may be later
 
 Show = Callable[..., None]  # ``show(done, total, note="")``: the state of some work
 
@@ -40,25 +42,34 @@ def progress_counter(unit: str, *, name: str = "tacgen", enabled: bool = True) -
     with tqdm(unit=unit, desc=name, dynamic_ncols=True) as bar:
 
         def show(done: int, total: int, note: str = "") -> None:
-            bar.total, bar.n = total, done
+            bar.total = total
             bar.set_postfix_str(note, refresh=False)
-            bar.refresh()
+            bar.update(done - bar.n)  # whose rate is of what was done last
 
         yield show
 
 
 def _lines(unit: str, name: str) -> Show:
     started_s = written_s = time.monotonic()
+    then_s, n_then = math.inf, 0
 
     def show(done: int, total: int, note: str = "") -> None:
-        nonlocal written_s
+        nonlocal written_s, then_s, n_then
         now_s = time.monotonic()
+        # Until the first is done, by each of the processes, libraries are loaded and compiled.
+        if done and then_s == math.inf:
+            then_s = now_s + FIRST_SHARE * (now_s - started_s)
+        if now_s <= then_s:
+            n_then = done
         if now_s - written_s < LINE_EVERY_S:
             return
         written_s = now_s
-        left_min = (now_s - started_s) / 60 * (total - done) / max(done, 1)
+        left = ""
+        if done > n_then:
+            left_min = (now_s - then_s) / 60 * (total - done) / (done - n_then)
+            left = f", about {left_min:.0f} min left"
         end = f", {note}" if note else ""
-        print_status(f"{done} of {total} {unit}s, about {left_min:.0f} min left{end}", name)
+        print_status(f"{done} of {total} {unit}s{left}{end}", name)
 
     return show
 

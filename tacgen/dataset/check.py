@@ -42,14 +42,24 @@ def validity(columns: Mapping[str, NDArray[Any]], layout: Layout) -> dict[str, d
     ``columns`` are the shard's small arrays by their path.
     """
     executed = columns["/grasp/status"] == b"executed"
-    moments = columns["/grasp/grasp_frame"][executed]
     found: dict[str, dict[str, int]] = {"frames": {}, "grasps": {}}
     for field in FLAG_FIELDS:
         pads = [columns[layout.path(field, pad)][executed] != 0 for pad in layout.pads]
-        at_moment = [flags[np.arange(len(moments)), moments] for flags in pads]
         found["frames"][field.name] = int(np.sum(pads))
-        found["grasps"][field.name] = int(np.any(at_moment, axis=0).sum())
+        found["grasps"][field.name] = int(flags_at_moment(columns, layout, field.name).sum())
     return found
+
+
+def flags_at_moment(
+    columns: Mapping[str, NDArray[Any]], layout: Layout, name: str
+) -> NDArray[np.bool_]:
+    """Whether a flag is set at the moment of grasp on any pad, (N,), by the arrays' paths."""
+    field = next(field for field in FLAG_FIELDS if field.name == name)
+    moments = columns["/grasp/grasp_frame"]
+    rows = np.arange(len(moments))
+    pads = [columns[layout.path(field, pad)][rows, moments] != 0 for pad in layout.pads]
+    executed = columns["/grasp/status"] == b"executed"
+    return np.asarray(executed & np.any(pads, axis=0))
 
 
 _MAX_NAMED = 5  # enough to see a pattern in a message

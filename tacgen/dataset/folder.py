@@ -41,6 +41,7 @@ from tacgen.dataset.manifest import (
 from tacgen.dataset.samples import DatasetSpec, GraspSample
 from tacgen.dataset.writer import write_shard_file
 
+MAX_VALUE_CHARS = 120  # of a setting in a message: longer ones are told by what they list
 MAX_PLAN_BYTES = 64 << 20  # a plan has some kilobytes, and the axes of each object
 
 
@@ -373,7 +374,22 @@ def differences(old: Any, new: Any, where: str = "") -> Iterator[str]:
         for k, pair in enumerate(zip(old, new, strict=True)):
             yield from differences(*pair, f"{where}[{k}]")
     elif old != new:
-        yield f"{where}: {json.dumps(old)} there, {json.dumps(new)} now"
+        yield f"{where}: {_short(old)} there, {_short(new)} now"
+
+
+def _short(value: Any) -> str:
+    """A value in a line: the names of what it lists, where it is long."""
+    text = json.dumps(value)
+    if len(text) <= MAX_VALUE_CHARS:
+        return text
+    if _are_sections(value):
+        names = [str(one.get("dataset_name") or one.get("name") or "?") for one in value]
+        text = f"{len(value)} ({', '.join(names)})"
+    elif isinstance(value, list):
+        text = f"{len(value)} values, {json.dumps(value[0])} to {json.dumps(value[-1])}"
+    elif isinstance(value, Mapping):
+        text = f"keys {', '.join(value)}"
+    return text if len(text) <= MAX_VALUE_CHARS else f"{text[:MAX_VALUE_CHARS]} …"
 
 
 def _are_sections(value: Any) -> bool:

@@ -4,7 +4,9 @@ It needs no network and stays below ``MAX_PAGE_BYTES``: a large dataset is repre
 taken evenly, and the page says so.
 """
 
+import contextlib
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -17,15 +19,17 @@ from numpy.typing import NDArray
 from tacgen.core.errors import RecipeError
 from tacgen.core.images import evenly, jpeg_uri, no_wider, side_by_side
 from tacgen.core.records import PADS
+from tacgen.core.visible import VISIBLE
 from tacgen.dataset import overlays
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import DatasetSpec, GraspSample, frame_times_s, rgb_at_load
-from tacgen.dataset.schema import VALIDITY
+from tacgen.dataset.schema import EDGES, FLAG_WORDS
 from tacgen.dataset.summary import replace_page, summarize
 from tacgen.report.page import templates
 
 MAX_PAGE_BYTES = 15_000_000  # what a browser opens at once
+SHOWN = "shows a contact"
 MAX_CARDS, MAX_SHARDS, MAX_STRIP = 200, 200, 8
 IMAGE_WIDTH_PX, STRIP_WIDTH_PX = 280, 110
 CARD_TEXT_BYTES = 2000  # of a card's markup, beside its images
@@ -104,18 +108,19 @@ def write_gallery(root: Path | str, made: Mapping[int, Thumbnails] | None = None
     dataset = Dataset(folder.root, partial=True, check_hashes=False)
     shards = evenly(len(dataset.lines), MAX_SHARDS)
     columns = dataset.columns(shards, contact=True)
-    flags = {pad: dataset.columns(shards, contact=True, pad=pad) for pad in dataset.pads}
-    points = [_point(columns, row) for row in range(len(columns["index"]))]
+    pads = [dataset.columns(shards, contact=True, pad=pad) for pad in dataset.pads]
+    looks = [[_look(pad, row) for pad in pads] for row in range(len(columns["index"]))]
+    points = [_point(columns, row, looks[row]) for row in range(len(looks))]
     time_s = dataset.time_s
-    cards = [
-        _card(dataset, columns, row, points[row], time_s, made or {})
-        | {"flags": [_flags(flags[pad], row) for pad in dataset.pads]}
-        for row in evenly(len(points), MAX_CARDS)
-    ]
-    try:
-        description = str(folder.recipe().get("description", ""))
-    except RecipeError:  # `verify` reports it; the page has no description then
-        description = ""
+    cards = _in_turn(
+        [
+            _card(dataset, columns, row, points[row], time_s, made or {}) | {"looks": looks[row]}
+            for row in evenly(len(points), MAX_CARDS)
+        ]
+    )
+    recipe: dict[str, Any] = {}
+    with contextlib.suppress(RecipeError):  # `verify` reports it; the page says less then
+        recipe = folder.recipe()
     has_markers = "markers_mm" in dataset.touch_names
     n_lines = len(dataset.pads) * len(dataset.marker_rest_mm()) if has_markers else 0
     cards = _fit(cards, CARD_TEXT_BYTES + LINE_BYTES * n_lines)
@@ -124,7 +129,8 @@ def write_gallery(root: Path | str, made: Mapping[int, Thumbnails] | None = None
     page = templates("tacgen.dataset").get_template("gallery.html")
     text = page.render(
         summary=summarize(folder.root),
-        description=description,
+        description=str(recipe.get("description", "")),
+        lift_mm=(recipe.get("physics") or {}).get("lift_mm"),
         cards=cards,
         gain=gain,
         size_px=(width, height),
@@ -132,6 +138,7 @@ def write_gallery(root: Path | str, made: Mapping[int, Thumbnails] | None = None
         outcomes=OUTCOMES,
         present=[name for name in OUTCOMES if any(p["outcome"] == name for p in points)],
         objects=sorted({p["object"] for p in points}),
+        pictures=[w for w in (SHOWN, *FLAG_WORDS.values()) if any(w in p["shows"] for p in points)],
         forces=sorted({p["force"] for p in points}),
         reference=_jpeg(dataset.reference()),
         time_s=time_s.tolist(),
@@ -163,26 +170,76 @@ def _draw_motion(dataset: Dataset, cards: Sequence[dict[str, Any]]) -> float:
     return gain
 
 
-def _flags(columns: Mapping[str, NDArray[Any]], row: int) -> str:
-    """What the images of a pad do not show of a grasp's force: at its moment, and in how many."""
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What the picture of a pad shows at the moment of grasp, in ``words``.
+
+    The contact is cut off at ``edges``; ``share`` of the pixels differ visibly from rest.
+    """
+
+    words: tuple[str, ...] = ()
+    edges: tuple[str, ...] = ()
+    share: float = 0.0
+
+
+def _look(columns: Mapping[str, NDArray[Any]], row: int) -> Look:
     if columns["status"][row] != "executed":
-        return ""
-    found, moment = [], int(columns["grasp_frame"][row])
-    for name in VALIDITY:
-        frames = columns[name][row]
-        n_flagged, words = int(frames.sum()), name.replace("_", " ")
-        if frames[moment]:
-            found.append(words)
-        elif n_flagged and name != "no_contact":  # before the fingers close there is none
-            found.append(f"{words} in {n_flagged} of {len(frames)}")
-    return ", ".join(found)
+        return Look()
+    at = row, int(columns["grasp_frame"][row])
+    share, beyond = float(columns["visible_share"][at]), columns["outside_share"][at]
+    words = [words for name, words in FLAG_WORDS.items() if columns[name][at]]
+    # An edge with its part or more of what is cut off: there is one.
+    is_cut = (beyond > 0) & (beyond >= beyond.sum() / len(EDGES))
+    edges = [edge for edge, cut in zip(EDGES, is_cut, strict=True) if cut]
+    return Look(
+        (*([SHOWN] if share >= VISIBLE.contact_share else []), *words),
+        tuple(edges) if columns["outside_window"][at] else (),
+        share,
+    )
 
 
-def _point(columns: Mapping[str, NDArray[Any]], row: int) -> dict[str, Any]:
-    """What the plots need of one grasp."""
+def _in_turn(cards: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The cards that show a contact first, then those that show less; in each of the two, objects
+    and outcomes take turns.
+    """
+    objects, outcomes = ({one[name]: 0 for one in cards} for name in ("object", "outcome"))
+    turns: Counter[tuple[Any, ...]] = Counter()
+    ranked = []
+    for card in cards:
+        k_object, k_outcome = (
+            list(objects).index(card["object"]),
+            list(outcomes).index(card["outcome"]),
+        )
+        share = max((look.share for look in card["looks"]), default=0.0)
+        shows = (share >= VISIBLE.contact_share, share > 0)
+        group = (*shows, k_object, k_outcome)
+        rank = (k_outcome - k_object) % len(outcomes)
+        ranked.append((not shows[0], not shows[1], turns[group], rank, k_object))
+        turns[group] += 1
+    return [cards[k] for k in sorted(range(len(cards)), key=ranked.__getitem__)]
+
+
+def _margins(values: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Each slip margin with what its sign means."""
+    found = []
+    ways = (("sliding", "slides", "translational", ""), ("turning", "turns", "rotational", " mm"))
+    for way, what, name, unit in ways:
+        margin = float(values[f"margin_{name}"])
+        if math.isnan(margin):
+            continue
+        sign = "holds" if margin >= 0 else what
+        if margin < 0 and values["label"] == 1:
+            sign += ", but too little to fail"
+        found.append((f"margin, {way}", f"{margin:+.2f}{unit} × weight: {sign}"))
+    return found
+
+
+def _point(columns: Mapping[str, NDArray[Any]], row: int, looks: Sequence[Look]) -> dict[str, Any]:
+    """What the plots and filters need of one grasp."""
     keys = ("label", "failure_mode", "grasp_frame", "force_n", "index", "object", "split")
     label, mode, frame, force_n, *same = (columns[key][row].item() for key in keys)
     return dict(zip(keys[4:], same, strict=True)) | {
+        "shows": sorted({words for look in looks for words in look.words}),
         "force": round(force_n, 3),
         "outcome": "not_executed" if label < 0 else "success" if label else mode or "failure",
         "normal": round(float(columns["force_normal_n"][row, frame]), 3),
@@ -217,6 +274,7 @@ def _card(
         **point,
         "executed": executed,
         "values": values,
+        "margins": _margins(values),
         "moment": moment,
         "picture": small.picture,
         "images": small.images,

@@ -20,7 +20,7 @@ from tacgen.core.records import (
     Until,
 )
 from tacgen.dataset.inputs import Inputs
-from tacgen.dataset.schema import FIELDS, FLAG_FIELDS, STATE_FIELDS, VALIDITY, Layout
+from tacgen.dataset.schema import FIELDS, FLAG_FIELDS, FLAG_WORDS, STATE_FIELDS, Layout
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +33,10 @@ class PadSample:
     float16 is the indentation of each pixel, (T, H, W), or (H, W) at the moment of grasp.
     ``markers_mm`` (T, M, 2) is how far each marker is from its place at rest, ``force_field_n``
     (T, rows, columns, 3) the force on each cell of the window: shear x, y, normal. ``saturated``,
-    ``no_contact`` and ``outside_window`` (T,) say which frames do not show the whole force: the gel
-    is pressed through, nothing touches it, or a part of the pressure is beside the window.
+    ``no_contact``, ``nothing_to_see`` and ``outside_window`` (T,) say which frames do not show the
+    whole force: the gel is pressed through, nothing touches it, no pixel changes visibly, or a part
+    of the pressure is beside the window: ``outside_share`` (T, 4) of it beyond each of ``EDGES``.
+    ``visible_share`` (T,) of the pixels differ visibly from the gel at rest.
     """
 
     rgb: NDArray[np.uint8]
@@ -44,14 +46,17 @@ class PadSample:
     depth_mm: NDArray[np.floating] | None = None
     saturated: NDArray[np.uint8 | np.bool_] | None = None
     no_contact: NDArray[np.uint8 | np.bool_] | None = None
+    nothing_to_see: NDArray[np.uint8 | np.bool_] | None = None
     outside_window: NDArray[np.uint8 | np.bool_] | None = None
+    outside_share: NDArray[np.floating] | None = None
+    visible_share: NDArray[np.floating] | None = None
     markers_mm: NDArray[np.floating] | None = None
     force_field_n: NDArray[np.floating] | None = None
 
     def flags(self, frame: int) -> list[str]:
         """Why the image of a frame does not show the whole force, in words; empty where it does."""
-        found = ((name, getattr(self, name)) for name in VALIDITY)
-        return [name.replace("_", " ") for name, one in found if one is not None and one[frame]]
+        found = ((words, getattr(self, name)) for name, words in FLAG_WORDS.items())
+        return [words for words, one in found if one is not None and one[frame]]
 
 
 @dataclass(frozen=True, slots=True)

@@ -225,10 +225,17 @@ def _of_camera(
 VALIDITY = {
     "saturated": "1: the gel is pressed through to its backing; more force would look the same",
     "no_contact": "1: nothing touches the gel",
+    "nothing_to_see": "1: the gel is touched, but no pixel differs visibly from the gel at rest",
     "outside_window": "1: over a twentieth of the pressure is beside what the camera sees",
 }
 """What each frame of a pad says of its image, and what that means: 0 where it shows the force."""
+FLAG_WORDS = {name: name.replace("_", " ") for name in VALIDITY} | {"outside_window": "cut off"}
+"""What a person reads for each of them."""
+EDGES = ("left", "top", "right", "bottom")
+"""Of a picture, in the order of ``outside_share``."""
 
+_OUTSIDE = f"share of the pressure beyond each edge of the picture: {', '.join(EDGES)}"
+_VISIBLE = "share of the picture's pixels that differ visibly from the gel at rest"
 _GREY: dict[str, Any] = {"dtype": "uint8", "image": True}
 _TOUCH: dict[str, Any] = {"group": "tactile", "image": True}  # compressed, one frame a chunk
 _FORCE_FIELD = (
@@ -296,6 +303,8 @@ FIELDS: tuple[Field, ...] = (
     _of_pad("force_shear_n", ("N", "T", 2), "N", _ON_GEL),
     _of_pad("indentation_mm", ("N", "T"), "mm", "indentation at the deepest point"),
     *(_of_pad(name, ("N", "T"), "1", text, dtype="uint8") for name, text in VALIDITY.items()),
+    _of_pad("outside_share", ("N", "T", len(EDGES)), "1", _OUTSIDE, dtype="float32"),
+    _of_pad("visible_share", ("N", "T"), "1", _VISIBLE),
     Field(
         *("object", "pose", "float64", ("N", "T", 7), "mm; 1", "world", _POSE),
         source="sample.object_pose",
@@ -324,9 +333,9 @@ FLAG_FIELDS = tuple(
 )
 """Those that are true or false; a pad without one has None there."""
 STATE_FIELDS = tuple(
-    f for f in FRAME_FIELDS if f.axes in (("N", "T"), ("N", "T", 2)) and f not in FLAG_FIELDS
+    f for f in FRAME_FIELDS if f.axes in (("N", "T"), ("N", "T", 2)) and f.unit != "1"
 )
-"""Those that are numbers and vectors."""
+"""Those that are a state of the gel: numbers and vectors, but no shares of a picture."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,5 +1,6 @@
 """What a dataset holds, from its manifest: counts, balance, sizes, origin; and its card."""
 
+import itertools
 import math
 import re
 from collections import Counter
@@ -13,11 +14,12 @@ import numpy as np
 from tacgen.core.errors import DatasetError
 from tacgen.core.files import write_text
 from tacgen.core.progress import print_status
-from tacgen.dataset.check import OUTCOME
+from tacgen.core.visible import VISIBLE
+from tacgen.dataset.check import OUTCOME, flags_at_moment
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.manifest import ShardLine, total
 from tacgen.dataset.reader import Dataset
-from tacgen.dataset.schema import SEGMENTS, VALIDITY
+from tacgen.dataset.schema import FLAG_WORDS, SEGMENTS, VALIDITY
 from tacgen.dataset.shard import broken_as_error, open_shard, read_image
 from tacgen.report.page import templates
 
@@ -30,7 +32,8 @@ def summarize(root: Path | str) -> dict[str, Any]:
     ``success_rate`` is over executed grasps, None where none was; ``ratio`` is the size of the
     arrays over that of the files; ``not_executed`` counts grasps by the reason why they could not
     be executed, reasons that differ only in numbers as the first of them. ``validity`` counts the
-    frames of executed grasps and those whose images do not show the whole force. ``inputs`` are the
+    frames of executed grasps and those whose images do not show the whole force, ``nothing_to_see``
+    lists, by object, the grasps with such a picture at their moment. ``inputs`` are the
     hashes of all that the shards depend on, ``parts`` the grasps at first and those that each
     growth added, ``listed`` whether they stand in a list (``grid.file``). ``arrays`` are the
     images and what is kept of the touch: of which shape (without the grasps; those of a camera as
@@ -86,6 +89,7 @@ def summarize(root: Path | str) -> dict[str, Any]:
         "ratio": raw / max(n_bytes, 1),
         "not_executed": _reasons(folder, lines),
         "validity": _validity(lines),
+        "nothing_to_see": _nothing_to_see(folder, lines),
         "arrays": _arrays(folder, lines[0]),
         "blind_cameras": _blind_cameras(folder, lines[0]),
     }
@@ -151,21 +155,64 @@ def not_executed_lines(summary: Mapping[str, Any]) -> list[str]:
     return lines + [f"  {count} × {reason}" for reason, count in reasons.items()]
 
 
+CHANGE = (
+    "grip with more force (grid.force_n); put the pads where an edge or a curve of the object lies "
+    "within the picture (grid.x_mm, y_mm, z_mm; `tacgen objects show NAME`); or take a sensor with "
+    "a softer or more domed gel (`tacgen sensors list`)"
+)
+"""How grasps come to show something: force, place, sensor."""
+MAX_LISTED = 12  # grasps of an object in a message
+
+
 def validity_lines(summary: Mapping[str, Any]) -> list[str]:
-    """What images do not show: the whole force of their contact, or a camera's the object."""
+    """What pictures lack, and what to change: a force or an object that they do not show."""
     lines = [
         f"camera {name} shows the object nowhere in the first shard; correct its pose or look_at"
         for name in summary["blind_cameras"]
     ]
-    found = summary["validity"]
-    grasps = {k: n for k, n in found["grasps"].items() if n and k != "of"}
-    if grasps:
-        kinds = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in grasps.items())
+    found = summary["validity"]["grasps"]
+    for name, what in (
+        ("saturated", "press the gel through"),
+        ("no_contact", "touch one pad only"),
+    ):
+        if found[name]:
+            lines.append(f"{FLAG_WORDS[name]}: {found[name]} of {found['of']} grasps {what}")
+    if empty := summary["nothing_to_see"]:
         lines.append(
-            "images that do not show the whole force at the moment of grasp, of "
-            f"{found['grasps']['of']} grasps: {kinds} (each frame's flags are in the shards)"
+            f"nothing to see: in {found['nothing_to_see']} of {found['of']} grasps no pixel of a "
+            f"picture differs from the gel at rest by over {VISIBLE.change_grey:g} grey levels; "
+            + CHANGE
         )
+        for name, indices in empty.items():
+            more = f" and {len(indices) - MAX_LISTED} more" if len(indices) > MAX_LISTED else ""
+            lines[-1] += f"\n  {name}: grasp {', '.join(map(str, indices[:MAX_LISTED]))}{more}"
     return lines
+
+
+def cut_off_line(summary: Mapping[str, Any]) -> list[str]:
+    """In how many grasps the contact goes on beyond the picture, which is usual."""
+    found = summary["validity"]["grasps"]
+    if not found["outside_window"]:
+        return []
+    return [
+        f"cut off: the contact goes on beyond the picture in {found['outside_window']} of "
+        f"{found['of']} grasps, as it does where an object is larger than the picture"
+    ]
+
+
+def _nothing_to_see(folder: DatasetFolder, lines: Iterable[ShardLine]) -> dict[str, list[int]]:
+    found: dict[str, list[int]] = {}
+    for line in lines:
+        if not line.validity.get("grasps", {}).get("nothing_to_see"):
+            continue
+        path = folder.shard_path(line.shard)
+        with closing(open_shard(path)) as shard, broken_as_error(path):
+            columns = {a.path: shard.read(a.path) for a in shard.layout.arrays() if not a.image}
+            at_moment = flags_at_moment(columns, shard.layout, "nothing_to_see")
+            names, indices = (columns[f"/grasp/{name}"] for name in ("object", "index"))
+        for row in np.flatnonzero(at_moment):
+            found.setdefault(names[row].decode(errors="replace"), []).append(int(indices[row]))
+    return found
 
 
 def _validity(lines: Sequence[ShardLine]) -> dict[str, dict[str, int]]:
@@ -210,12 +257,15 @@ def summary_text(summary: Mapping[str, Any]) -> str:
         table.append((name, *(str(tally[outcome]) for outcome in OUTCOME.values()), share))
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     page = templates("tacgen.dataset", escaped=False).get_template("summary.txt")
+    frames = summary["validity"]["frames"]
+    flags = ", ".join(f"{frames[name]} {words}" for name, words in FLAG_WORDS.items())
     kept = arrays_text(summary)
     sampling = sampling_text(summary)
     text = page.render(
-        summary=summary, table=table, widths=widths, kept=kept, sampling=sampling
+        summary=summary, table=table, widths=widths, kept=kept, sampling=sampling, flags=flags
     ).rstrip("\n")
-    return "\n".join([text, *not_executed_lines(summary), *validity_lines(summary)])
+    notes = (not_executed_lines(summary), validity_lines(summary), cut_off_line(summary))
+    return "\n".join([text, *itertools.chain(*notes)])
 
 
 def write_card(root: Path | str) -> Path:
@@ -238,6 +288,7 @@ def write_card(root: Path | str) -> Path:
         until=dataset.until,
         kept=arrays_text(summary),
         sampling=sampling_text(summary),
+        words=FLAG_WORDS,
     )
     dataset.close()
     replace_page(folder.card_path, text)

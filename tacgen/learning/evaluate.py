@@ -54,7 +54,7 @@ def evaluate(
 ) -> dict[str, Any]:
     """Test the models of ``run`` on the test grasps of a dataset, or on real grasps.
 
-    Writes ``eval.json`` and ``eval.html`` into the run, and the same figures as
+    Writes ``eval.json`` and ``index.html`` into the run, and the same figures as
     ``eval_sim.json`` or ``eval_real.json``, from which the sim-to-real gap is computed. A dataset
     may differ from the training data in what is named in ``across`` (see ``ACROSS``); of real
     grasps every known difference is noted. With ``controls`` the result has those of

@@ -33,7 +33,7 @@ class ModelFolder:
         self.checkpoint_path = self.root / "checkpoint.pt"
         self.metrics_path = self.root / "metrics.jsonl"
         self.board_path = self.root / "tensorboard"
-        self.report_path = self.root / "report.html"
+        self.report_path = self.root / "index.html"
 
     def read_metrics(self, *, up_to_epoch: int) -> list[dict[str, Any]]:
         """The lines of the first epochs; later ones belong to an epoch that was not finished.
@@ -96,7 +96,7 @@ class RunFolder:
         self.recipe_path = self.root / "recipe.yaml"
         self.summary_path = self.root / "train.json"
         self.eval_path = self.root / "eval.json"
-        self.eval_report_path = self.root / "eval.html"
+        self.eval_report_path = self.root / "index.html"
 
     def model(self, name: str) -> ModelFolder:
         """The folder of one model."""

@@ -17,6 +17,7 @@ from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 
 from tacgen.core.files import write_text
+from tacgen.core.progress import print_status
 from tacgen.report.formatting import (
     estimate,
     fixed,
@@ -113,7 +114,7 @@ def write_page(
     template: str = "page.html",
     **values: Any,
 ) -> None:
-    """Write the page to ``path``, whole or not at all; it needs no network.
+    """Write the page to ``path``, whole or not at all, and print its path; it needs no network.
 
     ``summary`` is the result in a sentence or two; ``verdict`` colours it: ``sufficient`` and
     ``unexplained`` stand out. A ``template`` that extends ``page.html`` makes its own sections of
@@ -122,6 +123,7 @@ def write_page(
     page = templates().get_template(template)
     head = {"title": title, "summary": typeset(summary), "verdict": verdict}
     write_text(path, page.render(**head, sections=sections, **values))
+    print_status(f"page: {path}")
 
 
 @functools.cache

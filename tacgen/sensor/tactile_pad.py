@@ -192,6 +192,16 @@ class Indenter:
         area_mm2 = self.sensor.pixel_area_mm2 * every**2
         return np.stack([x_mm, y_mm], axis=1), depth_mm[rows, columns], area_mm2
 
+    def outside_share(self, imprint: Imprint) -> NDArray[np.float64]:
+        """Shares of the pressure beyond the window's left, top, right and bottom edge, (4,)."""
+        if not imprint.beside_depth_mm.size:
+            return np.zeros(4)
+        half_mm = self.sensor.mm_per_px * np.array(self.sensor.shape_px)[::-1] / 2
+        places_mm = self._mapper.beside_mm[imprint.beside_at]
+        beyond_mm = np.hstack([-places_mm, places_mm]) - np.tile(half_mm, 2)
+        by_edge = np.bincount(beyond_mm.argmax(axis=1), imprint.beside_depth_mm, minlength=4)
+        return np.asarray(by_edge / by_edge.sum() * (1.0 - imprint.share))
+
     def indent(self, mesh: Mesh, pose_gel_object: FloatArray, load: GelLoad) -> Imprint:
         """The imprint of an object at a pose, without its motion by shear."""
         asked = load.indentation_mm if load.volume_mm3 is None else load.volume_mm3

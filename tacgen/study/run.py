@@ -47,7 +47,7 @@ def run_study(
     The table is written anew after each row; rows that earlier runs finished stay in it. ``rows``
     names those to run, all of them if empty. The result holds ``rows`` with the scores on simulated
     and, where given, real grasps, and ``problems`` of this run; it is also written as
-    ``table.json``, ``table.md`` and ``table.html``.
+    ``table.json``, ``table.md`` and ``index.html``.
 
     Raises ``TacgenError`` if what is given cannot be used, the folder holds another study or
     version, or rows of objects, a sensor or an engine that have changed since, or a row cannot be

@@ -14,7 +14,7 @@ OTHER_SIMULATION = "other simulation"
 
 
 def write_study(result: Mapping[str, Any], out: Path) -> None:
-    """Write ``table.md`` and ``table.html``."""
+    """Write ``table.md`` and ``index.html``."""
     rows = [_row(row) for row in result["rows"]]
     header = _header(result)
     object_header, object_rows = _by_object(result)
@@ -33,7 +33,7 @@ def write_study(result: Mapping[str, Any], out: Path) -> None:
         table_section("By object", object_header, object_rows),
         text_section("How the figures were made", *remarks),
     )
-    write_page(out / "table.html", result["study"], sections, summary=result["description"])
+    write_page(out / "index.html", result["study"], sections, summary=result["description"])
 
 
 def study_remarks(result: Mapping[str, Any]) -> list[str]:

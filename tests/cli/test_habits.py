@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 import yaml
 from typer.testing import CliRunner
@@ -73,6 +74,50 @@ def test_progress_without_a_terminal_is_one_line_a_minute(monkeypatch):
         "tacgen: 120 of 360 grasps, about 4 min left, 5 succeeded",
         "tacgen: 180 of 360 grasps, about 3 min left, 5 succeeded",
     ]
+
+
+def test_the_time_left_does_not_count_what_comes_before_the_first(monkeypatch):
+    log, now_s = io.StringIO(), [0.0]
+    monkeypatch.setattr(progress.sys, "stderr", log)
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now_s[0])
+    with progress.progress_counter("grasp") as show:
+        # Two processes compile for 50 s; each then makes a grasp in 4 s.
+        for done, at_s in enumerate([50.0, 50.5, *np.arange(54, 141, 2)], start=1):
+            now_s[0] = float(at_s)
+            show(done, 48)
+    lines = log.getvalue().splitlines()
+    assert lines[0].endswith("of 48 grasps, about 1 min left")  # 43 grasps at one in 2 s: 1.4 min
+    assert lines[1].endswith("about 0 min left")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("help",), "Usage:"),
+        (("help", "collect"), "collect [OPTIONS]"),
+        (("calibrate", "help", "contact"), "calibrate contact [OPTIONS]"),
+    ],
+)
+def test_help_is_a_command_too(arguments, words):
+    shown = run(*arguments)
+    assert shown.exit_code == 0
+    assert words in shown.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("inspct",), "No such command 'inspct' (did you mean 'inspect'?)"),
+        (("calibrate", "lokup"), "No such command 'lokup' (did you mean 'lookup'?)"),
+        (("quux",), "No such command 'quux'"),
+    ],
+)
+def test_an_unknown_command_names_the_nearest_one(arguments, words):
+    shown = run(*arguments)
+    assert shown.exit_code == 2
+    text = " ".join(re.sub("[│\n]", " ", shown.output).split())
+    assert words in text
+    assert text.count("did you mean") == ("mean" in words)
 
 
 def test_results_are_replaced_with_force_only(tmp_path):

@@ -178,6 +178,8 @@ def test_what_is_kept_of_the_touch_is_that_of_each_frame(engine, monkeypatch):
         assert (off_n[shown] <= 0.05 * np.linalg.norm(force_n, axis=1)[shown] + 1e-6).all()
         touched = pad.no_contact == 0
         assert touched[-1]
+        np.testing.assert_array_equal(pad.nothing_to_see, touched & (pad.visible_share == 0))
+        assert (pad.outside_share.sum(axis=1) > 0.05)[~shown].all()
         np.testing.assert_array_equal(pad.depth_mm.any(axis=(1, 2)), touched)
         # The object's weight, which the pads carry after the lift, drags the gel along.
         down_n, moved_mm = pad.force_shear_n[-1], pad.markers_mm[-1].sum(axis=0)

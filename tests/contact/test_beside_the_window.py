@@ -43,6 +43,22 @@ def test_a_face_larger_than_the_gel_shares_its_force_by_area():
     assert imprint.status == "outside_window"
 
 
+def test_what_is_beyond_the_window_is_counted_by_its_edge():
+    indenter = Indenter(FLAT)
+    imprint = indenter.indent(solid(box((60, 60, 10), (0, 0, 5))), np.eye(4), GelLoad(24.0))
+    # A ring of 4 mm, whose corners of 4 mm × 4 mm are halved by their diagonals.
+    left_mm2, top_mm2 = 4 * 12 + 4 * 4, 4 * 16 + 4 * 4
+    expected = np.array([left_mm2, top_mm2, left_mm2, top_mm2]) / GEL_MM2
+    np.testing.assert_allclose(indenter.outside_share(imprint), expected, atol=0.01)
+    ball = solid(trimesh.creation.icosphere(subdivisions=4, radius=4.0))
+    for edge, (x_mm, y_mm) in enumerate([(-8, 0), (0, -6), (8, 0), (0, 6)]):
+        imprint = indenter.indent(ball, at(x_mm, y_mm), GelLoad(12.0))
+        beyond = indenter.outside_share(imprint)
+        assert beyond[edge] == pytest.approx(1.0 - imprint.share) == pytest.approx(beyond.sum())
+    inside = indenter.indent(ball, at(0.0), GelLoad(12.0))
+    assert not indenter.outside_share(inside).any()
+
+
 def test_a_gel_that_ends_at_the_window_bears_all_of_it():
     ends = replace(FLAT, gel_size_mm=(16.0, 12.0))
     imprint = pressed(ends, solid(box((60, 60, 10), (0, 0, 5))), 24.0)

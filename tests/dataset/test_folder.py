@@ -62,6 +62,15 @@ def test_of_a_list_of_sections_the_one_that_differs_is_named():
     assert list(differences([1, 2], [1, 3], "y_mm")) == ["y_mm: [1, 2] there, [1, 3] now"]
 
 
+def test_a_difference_takes_one_line_of_bearable_length():
+    objects = [{"name": f"object_{k}", "grid": {"y_mm": list(range(50))}} for k in range(3)]
+    assert list(differences({"objects": objects[:2]}, {"objects": objects})) == [
+        "objects: 2 (object_0, object_1) there, 3 (object_0, object_1, object_2) now"
+    ]
+    (line,) = differences({"y_mm": list(range(99))}, {"y_mm": list(range(200))})
+    assert line == "y_mm: 99 values, 0 to 98 there, 200 values, 0 to 199 now"
+
+
 def test_another_version_is_refused(toy, spec, monkeypatch):
     monkeypatch.setattr("tacgen.dataset.folder.__version__", "9.9.9")
     with pytest.raises(DatasetError, match=r'tacgen_version: "0.*" there, "9.9.9" now'):

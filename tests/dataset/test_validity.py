@@ -1,6 +1,7 @@
 """What an image does not show of its force: in shards, manifest, summary, pages and exports."""
 
 import json
+import re
 from dataclasses import replace
 
 import h5py
@@ -12,7 +13,13 @@ from tacgen.dataset import Dataset, DatasetFolder
 from tacgen.dataset.export import images
 from tacgen.dataset.gallery import write_gallery
 from tacgen.dataset.grasp_page import write_grasp_page
-from tacgen.dataset.summary import summarize, summary_text, validity_lines, write_card
+from tacgen.dataset.summary import (
+    cut_off_line,
+    summarize,
+    summary_text,
+    validity_lines,
+    write_card,
+)
 from tacgen.dataset.verify import verify
 
 from .conftest import make_sample, make_spec, vouch_for
@@ -22,8 +29,12 @@ FLAGS = {
     0: {"left": {"saturated": [0, 1, 1], "no_contact": [1, 0, 0]}},
     1: {"left": {"no_contact": [1, 0, 0]}, "right": {"outside_window": [0, 1, 0]}},
     2: {"left": {"saturated": [0, 0, 1]}},
+    3: {"right": {"nothing_to_see": [0, 1, 1]}},
 }
-NAMES = ("saturated", "no_contact", "outside_window")
+NAMES = ("saturated", "no_contact", "nothing_to_see", "outside_window")
+
+
+BEYOND = np.array([[0.0] * 4, [0.3, 0.0, 0.0, 0.02], [0.0] * 4])  # left, top, right, bottom
 
 
 def flagged(index, spec):
@@ -31,7 +42,10 @@ def flagged(index, spec):
     given = FLAGS.get(index, {})
     pads = {
         pad: replace(
-            own, **{n: np.array(given.get(pad, {}).get(n, [0, 0, 0]), np.uint8) for n in NAMES}
+            own,
+            **{n: np.array(given.get(pad, {}).get(n, [0, 0, 0]), np.uint8) for n in NAMES},
+            outside_share=BEYOND if index == 1 else np.zeros((3, 4)),
+            visible_share=np.full(3, 0.0 if index == 3 else 0.2),
         )
         for pad, own in sample.pads.items()
     }
@@ -67,19 +81,37 @@ def test_the_summary_counts_frames_and_grasps_at_their_moment(dataset):
     summary = summarize(dataset.root)
     # Eight grasps of ten are executed, of three frames on two pads each.
     assert summary["validity"] == {
-        "frames": {"of": 48, "saturated": 3, "no_contact": 2, "outside_window": 1},
-        "grasps": {"of": 8, "saturated": 1, "no_contact": 0, "outside_window": 1},
+        "frames": {"of": 48, **dict(zip(NAMES, (3, 2, 2, 1), strict=True))},
+        "grasps": {"of": 8, **dict(zip(NAMES, (1, 0, 1, 1), strict=True))},
     }
     text = summary_text(summary)
-    assert "images    48 of all pads: 3 saturated, 2 no contact, 1 outside window\nsize" in text
-    line = "images that do not show the whole force at the moment of grasp, of 8 grasps: 1 "
-    assert line in text
-    assert validity_lines(summary)[0].startswith(line)
-    assert "| … of which outside window | 1 |" in write_card(dataset.root).read_text()
+    counts = "3 saturated, 2 no contact, 2 nothing to see, 1 cut off"
+    assert f"images    48 of all pads: {counts}\nsize" in text
+    assert "cut off: the contact goes on beyond the picture in 1 of 8 grasps" in text
+    assert "| … of which cut off (`outside_window`) | 1 |" in write_card(dataset.root).read_text()
+
+
+def test_a_warning_lists_the_grasps_with_nothing_to_see_and_what_to_change(dataset):
+    summary = summarize(dataset.root)
+    assert summary["nothing_to_see"] == {"can": [3]}
+    saturated, empty = validity_lines(summary)
+    assert saturated == "saturated: 1 of 8 grasps press the gel through"
+    first, listed = empty.splitlines()
+    assert first.startswith("nothing to see: in 1 of 8 grasps no pixel")
+    assert listed == "  can: grasp 3"
+    for fix in ("grid.force_n", "grid.x_mm", "sensor"):
+        assert fix in first
+
+
+def test_a_contact_that_is_cut_off_is_no_warning(dataset):
+    summary = summarize(dataset.root)
+    assert not any("cut off" in line for line in validity_lines(summary))
+    assert len(cut_off_line(summary)) == 1
 
 
 def test_a_dataset_of_which_all_images_show_their_force_says_nothing(toy):
-    assert validity_lines(summarize(toy.root)) == []
+    summary = summarize(toy.root)
+    assert [*validity_lines(summary), *cut_off_line(summary)] == []
 
 
 def test_verify_compares_the_flags_with_the_manifest(dataset):
@@ -94,12 +126,18 @@ def test_verify_compares_the_flags_with_the_manifest(dataset):
 
 def test_the_pages_name_them(dataset, tmp_path):
     page = write_gallery(dataset.root).read_text()
-    cards = page.split('<article class="card')[1:]
-    assert '<b class="flag">saturated</b>' in cards[0]
-    assert cards[1].count("flag") == 1
-    assert '<b class="flag">outside window</b>' in cards[1]
-    assert '<b class="flag">saturated in 1 of 3</b>' in cards[2]
-    assert "flag" not in cards[3]
+    text = page.split('<article class="card')[1:]
+    cards = {int(re.search(r'id="grasp-(\d+)"', card)[1]): card for card in text}
+    assert '<p class="look">left pad: saturated</p>' in cards[0]
+    # Cut off at the left, where nearly all of it is: a line there, and nothing over the picture.
+    assert '<span class="edges left" title="cut off: ' in cards[1]
+    assert 'class="look"' not in cards[1] + cards[2]
+    assert '<p class="look">right pad: nothing to see</p>' in cards[3]
+    assert [k for k, card in cards.items() if re.search(r'"edges \w', card)] == [1]
+    select = page.split('<select name="picture">')[1].split("</select>")[0]
+    assert re.findall("<option>(.*?)</option>", select) == [
+        *("shows a contact", "saturated", "nothing to see", "cut off"),
+    ]
     write_grasp_page(dataset.root, 0, tmp_path / "grasp.html")
     text = (tmp_path / "grasp.html").read_text()
     assert "0.50 s, saturated" in text

@@ -95,8 +95,8 @@ def test_only_a_network_that_is_asked_to_sees_the_outcome(runs, data):
         assert results[name]["frames_seen"] == words
         assert json.loads((runs[name] / "run.json").read_text())["until"] == name
         assert json.loads((runs[name] / "train.json").read_text())["frames_seen"] == words
-        assert words in (runs[name] / "eval.html").read_text()
-        page = runs[name] / "models" / "pooled" / "report.html"
+        assert words in (runs[name] / "index.html").read_text()
+        page = runs[name] / "models" / "pooled" / "index.html"
         assert words in page.read_text()
 
 
@@ -198,7 +198,7 @@ def test_controls_tell_nothing_where_there_is_nothing_to_tell(runs, data, capsys
         assert f"control, {name}: accuracy {scores['accuracy']:.3f} [{low:.3f}, {high:.3f}]" in (
             printed
         )
-        assert f"control, {name}" in (runs["outcome"] / "eval.html").read_text()
+        assert f"control, {name}" in (runs["outcome"] / "index.html").read_text()
         assert scores["n"] == n
     assert result["controls"]["force alone"]["accuracy"] == 1.0
     constant = result["controls"]["constant images"]

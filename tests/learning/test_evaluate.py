@@ -87,7 +87,7 @@ def test_the_report_shows_the_scores_and_the_misjudged_grasps(run, toy, tmp_path
     result = evaluate(run, data=collect(tmp_path / "swapped", spec, swapped))
     assert result["accuracy"] <= 0.2
     assert len(result["misclassified"]) == round((1 - result["accuracy"]) * result["n"])
-    page = (run / "eval.html").read_text()
+    page = (run / "index.html").read_text()
     assert f"{len(result['misclassified'])} in all" in page
     assert "likely to succeed" in page
     assert evaluate(run, data=toy)["notes"] == []

@@ -145,13 +145,13 @@ def test_that_no_imagenet_weights_were_used_is_said_everywhere(toy, tmp_path, ca
     assert "NO ImageNet weights" in capsys.readouterr().err
     assert summary["models"]["pooled"]["weights"] == "none"
     assert all(line["weights"] == "none" for line in metrics_of(tmp_path / "run"))
-    report = (tmp_path / "run" / "models" / "pooled" / "report.html").read_text()
+    report = (tmp_path / "run" / "models" / "pooled" / "index.html").read_text()
     assert "NONE, trained from scratch" in report
 
 
 def test_a_run_leaves_its_log_its_report_and_its_plan(trained):
     assert list((trained / "models" / "pooled" / "tensorboard").glob("events*"))
-    assert "data:image/png" in (trained / "models" / "pooled" / "report.html").read_text()
+    assert "data:image/png" in (trained / "models" / "pooled" / "index.html").read_text()
     plan = json.loads((trained / "run.json").read_text())
     assert plan["recipe"]["training"]["threads"] == 1
     assert not set(plan["models"]["pooled"]["fit"]) & set(plan["models"]["pooled"]["validation"])

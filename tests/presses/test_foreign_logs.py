@@ -450,7 +450,7 @@ def test_no_page_runs_what_a_log_is_named(tmp_path):
     frame.rename(columns=headers).drop(columns="d").to_csv(path, index=False)
     calibrate_contact(path, tmp_path / "law.yaml", tmp_path / "report")
     diagnose_log(path, tmp_path / "diagnosis")
-    for page in ("report/contact.html", "diagnosis/report.html"):
+    for page in ("report/index.html", "diagnosis/report.html"):
         text = (tmp_path / page).read_text(encoding="utf-8")
         assert not [word for word in ("<script>alert", "<img src=x", "<b>log") if word in text]
     assert "onerror=alert(2)&gt;" in text

@@ -291,7 +291,7 @@ def test_a_study_collects_once_trains_each_row_and_says_what_it_is(
     assert "sim-to-real" in text
     assert "NOT real" not in text
     assert json.loads((tmp_path / "out" / "table.json").read_text())["quick"] is True
-    assert "Accuracy" in (tmp_path / "out" / "table.html").read_text()
+    assert "Accuracy" in (tmp_path / "out" / "index.html").read_text()
 
 
 @pytest.mark.slow
@@ -324,7 +324,7 @@ def test_another_simulation_is_not_called_reality(tmp_path, toy, toy_collect, sm
     export_dataset(toy, tmp_path / "world", "real-grasps", split="test")
     result = run_study(study, tmp_path / "out", RealData(test=tmp_path / "world"))
     assert result["real_is_simulated"] is True
-    for name in ("table.md", "table.html"):
+    for name in ("table.md", "index.html"):
         text = (tmp_path / "out" / name).read_text()
         assert "sim-to-real" not in text
         assert "other simulation" in text

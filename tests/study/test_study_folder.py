@@ -55,7 +55,7 @@ def test_real_grasps_of_other_objects_leave_the_simulated_result_in_the_table(
     assert row["sim"]["n"] > 0
     assert "real" not in row
     assert "has grasps of mug" in row["real_problem"]
-    for name in ("table.md", "table.html"):
+    for name in ("table.md", "index.html"):
         text = (out / name).read_text()
         assert "single image: NOT tested for the column sim-to-real. " in text
         assert "NOT trained" not in text

@@ -33,7 +33,7 @@ def write_report(
     field: FieldFit | None = None,
     data: FieldData | None = None,
 ) -> Path:
-    """Write ``contact.html`` into ``folder``, with the shear field of marker tracks if there is."""
+    """Write ``index.html`` into ``folder``, with the shear field of marker tracks if there is."""
     result = summary_dict(fit)
     figures, worst, verdicts = {}, {}, []
     for name, channel in result["channels"].items():
@@ -48,7 +48,7 @@ def write_report(
         error = percent(held["nrmse"], 2)
         verdicts.append(f"{SYMBOLS[name]} = {value} (95 %), error on held-out presses {error}")
     limits = zip(result["cannot_tell"], result["press_next"], strict=True)
-    path = Path(folder) / "contact.html"
+    path = Path(folder) / "index.html"
     write_page(
         path,
         "Contact calibration",
@@ -87,9 +87,9 @@ def _figures(name: str, channel: Mapping[str, Any], log: PressLog) -> dict[str, 
 def write_depth_page(
     report: DepthReport, curves: Sequence[DepthCurve], warnings: Sequence[str], folder: Path
 ) -> Path:
-    """Write ``contact.html`` of force–depth curves into ``folder``; it needs no network."""
+    """Write ``index.html`` of force–depth curves into ``folder``; it needs no network."""
     result = asdict(report)
-    path = Path(folder) / "contact.html"
+    path = Path(folder) / "index.html"
     verdict = depth_text(result).splitlines()[-1].strip()
     write_page(
         path,

@@ -122,7 +122,7 @@ def sweep_friction(
     Finished simulations are kept in ``out/outcomes.jsonl``; an interrupted sweep goes on from them.
     Raises ``DatasetError`` if a real grasp asks for a force that the recipe's gripper cannot give.
     """
-    refuse_foreign(out, perturbed.OUTCOMES, ("friction.json", "report.html", "objects"))
+    refuse_foreign(out, perturbed.OUTCOMES, ("friction.json", "index.html", "objects"))
     perturbed.check_forces(recipe, real)
     changes = {mu: perturbed.Perturbation(friction=mu) for mu in mu_values}
     wanted = [(grasp.config, change) for grasp in real.grasps for change in changes.values()]

@@ -28,10 +28,10 @@ CHANNEL_COLORS = {"R": "C3", "G": "C2", "B": "C0"}
 def write_table_report(
     folder: Path, result: Mapping[str, Any], presses: PressImages, calibration: Calibration
 ) -> None:
-    """Write ``folder/report.html`` from the command's JSON and figures of the fit."""
+    """Write ``folder/index.html`` from the command's JSON and figures of the fit."""
     errors = {press["name"]: press["rmse_refined"] for press in result["images"]}
     write_page(
-        Path(folder) / "report.html",
+        Path(folder) / "index.html",
         "Lookup table from ball presses",
         summary=f"Error on held-out presses: {result['rmse_refined']:.2f} grey levels (RMSE) with "
         f"each press's place re-estimated, {result['rmse_labels']:.2f} with places as labelled.",

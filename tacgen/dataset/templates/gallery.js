@@ -23,6 +23,7 @@
       all: outcomes.length,
       object: form.object.value,
       split: form.split.value,
+      picture: form.picture.value,
       low, high,
     };
   }
@@ -31,6 +32,7 @@
     return chosen.outcomes.has(point.outcome)
       && (!chosen.object || point.object === chosen.object)
       && (!chosen.split || point.split === chosen.split)
+      && (!chosen.picture || point.shows.includes(chosen.picture))
       && point.force >= FORCES[chosen.low] && point.force <= FORCES[chosen.high];
   }
 
@@ -107,7 +109,7 @@
   function remember(chosen) {
     const state = new URLSearchParams();
     if (chosen.outcomes.size < chosen.all) state.set("outcome", [...chosen.outcomes].join(","));
-    for (const key of ["object", "split"]) if (chosen[key]) state.set(key, chosen[key]);
+    for (const key of ["object", "split", "picture"]) if (chosen[key]) state.set(key, chosen[key]);
     if (chosen.low > 0) state.set("low", FORCES[chosen.low]);
     if (chosen.high < FORCES.length - 1) state.set("high", FORCES[chosen.high]);
     for (const key of ["difference", "motion"]) if (form[key]?.checked) state.set(key, "1");
@@ -121,8 +123,7 @@
     const labels = { 1: ["success"], 0: ["translational_slip", "rotational_slip", "failure"], "-1": ["not_executed"] };
     const wanted = state.has("label") ? labels[state.get("label")] || [] : state.has("outcome") ? state.get("outcome").split(",") : null;
     for (const box of form.querySelectorAll("[name=outcome]")) box.checked = !wanted || wanted.includes(box.value);
-    form.object.value = state.get("object") || "";
-    form.split.value = state.get("split") || "";
+    for (const key of ["object", "split", "picture"]) form[key].value = state.get(key) || "";
     const nearest = (force, otherwise) => force === null ? otherwise
       : FORCES.reduce((best, value, place) => Math.abs(value - force) < Math.abs(FORCES[best] - force) ? place : best, 0);
     form.low.value = nearest(state.get("low"), 0);

@@ -183,7 +183,7 @@ def test_the_page_shows_the_curves(tmp_path):
     arguments = ["calibrate", "contact", str(path), "--out", str(tmp_path / "c.yaml")]
     result = CliRunner().invoke(app, [*arguments, "--report", str(tmp_path / "report")])
     assert result.exit_code == 0, result.output
-    page = (tmp_path / "report" / "contact.html").read_text()
+    page = (tmp_path / "report" / "index.html").read_text()
     assert "data:image/png" in page
     assert "the volume is that of a ball whose radius was fitted" in page
 

@@ -82,7 +82,7 @@ def test_the_law_is_recovered_and_loads(tmp_path):
     assert provenance["held_out_error"]["normal"]["rmse"] == pytest.approx(0.22, rel=0.1), (
         "volume noise 0.2 and gauge noise 0.02 N × 5 mm³/N"
     )
-    page = (tmp_path / "report" / "contact.html").read_text()
+    page = (tmp_path / "report" / "index.html").read_text()
     assert "data:image/png" in page
     assert "://" not in page.replace("http://www.w3.org", "")
 

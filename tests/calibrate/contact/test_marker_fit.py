@@ -47,7 +47,7 @@ def test_k_s_decay_and_friction_come_back_through_the_command(tmp_path):
     assert field["friction"]["value"] == law.friction.value
     # The gauge's noise and the steps of the load between frames are no more than a tenth of it.
     assert field["rmse_mm"] < 1.1 * field["noise_mm"]
-    page = (tmp_path / "report" / "contact.html").read_text()
+    page = (tmp_path / "report" / "index.html").read_text()
     assert "Motion of the dots at the largest shear" in page
 
 
