@@ -1,6 +1,5 @@
 """Commands for datasets: plan, collect, inspect, verify, merge, export."""
 
-import json
 import os
 from pathlib import Path
 from typing import Annotated
@@ -140,38 +139,6 @@ def grid(
         print_status(f"a grasp before compression (`tacgen inspect` says what is stored): {kept}")
     except TacgenError as error:  # of a table, which the list of grasps can do without
         common.warn([error])
-    common.hand_over(f"tacgen collect {quoted(recipe)} --out data")
-
-
-@common.app.command("compare-engines", rich_help_panel=common.DATASETS)
-def compare_engines(
-    recipe: common.RecipeArgument,
-    out: Annotated[Path | None, Option(help="Folder for grasps.csv and comparison.json.")] = None,
-    workers: common.WorkersOption = common.AUTO,
-    force: common.ForceFlag = False,
-    json_output: common.JsonFlag = False,
-) -> None:
-    """Simulate the grasps of a recipe in PyBullet and in MuJoCo; list where their labels differ."""
-    from tacgen.collection import compare_engines as engines
-    from tacgen.collection.recipe import load_recipe
-    from tacgen.core.files import write_text
-    from tacgen.core.progress import progress_counter
-
-    loaded = load_recipe(recipe)
-    table, record = (Path(out or "") / name for name in ("grasps.csv", "comparison.json"))
-    if out:
-        refuse_existing(force, table, record)
-        out.mkdir(parents=True, exist_ok=True)
-    with progress_counter("grasp") as show:
-        found = engines.compare_engines(loaded, workers=workers, show=show)
-    counts = engines.counts_of(found)
-    result = {"near_margin": engines.NEAR_MARGIN, "counts": counts.to_dict(orient="index")}
-    if out:
-        write_text(table, found.to_csv(index=False))
-        write_text(record, json.dumps(result, indent=2) + "\n")
-    differing = found[~found["agree"]].drop(columns="agree").set_index("index").round(3)
-    blocks = [f"grasp {index}\n{row.to_string()}\n" for index, row in differing.iterrows()]
-    common.print_result(result, [*blocks, counts.to_string()], json_output)
     common.hand_over(f"tacgen collect {quoted(recipe)} --out data")
 
 

@@ -1,19 +1,19 @@
 """How many labels of far grasps change when PyBullet halves its time step, and from twice the step.
 
-Every shipped object is grasped as by ``tacgen compare-engines`` with ``grid: {sample: 20}``; *far*
+Every shipped object is grasped as by ``validation.physics.compare_engines`` with ``grid: {sample: 20}``; *far*
 is meant as there. Run it with ``python -m validation.physics.time_step [SEED ...]``.
 """
 
 import sys
 from itertools import pairwise
 
-from tacgen.collection.compare_engines import NEAR_MARGIN
 from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe
 from tacgen.core.records import GraspTrace
 from tacgen.core.resources import object_folders
 from tacgen.physics import PhysicsSettings
+from validation.physics.compare_engines import NEAR_MARGIN
 
 
 def traces(seed: int, time_step_s: float) -> list[GraspTrace]:

@@ -1,16 +1,26 @@
-"""The grasps of a recipe in both physics engines: where their labels differ, and by what margin."""
+"""The grasps of a recipe in both physics engines: where their labels differ, and by what margin.
 
+``python -m validation.physics.compare_engines RECIPE [--out DIR]`` lists them, and writes
+``grasps.csv`` and ``comparison.json`` into the folder.
+"""
+
+import argparse
 import contextlib
+import json
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, get_args
 
 import pandas as pd
 
 from tacgen.collection.grid import PlannedGrasp, plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
-from tacgen.collection.recipe import Recipe
+from tacgen.collection.recipe import Recipe, load_recipe
+from tacgen.core.files import refuse_existing, write_text
+from tacgen.core.progress import print_status, progress_counter
 from tacgen.core.records import GraspTrace
 from tacgen.core.workers import Report, run_tasks
 from tacgen.physics.settings import EngineName
@@ -99,3 +109,31 @@ def _grasp_job(
             return found
 
         yield job
+
+
+def main() -> None:
+    """Compare the engines on one recipe."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("recipe")
+    parser.add_argument("--out", type=Path)
+    options = parser.parse_args()
+    loaded = load_recipe(options.recipe)
+    table, record = (Path(options.out or "") / name for name in ("grasps.csv", "comparison.json"))
+    if options.out:
+        refuse_existing(False, table, record)
+        options.out.mkdir(parents=True, exist_ok=True)
+    with progress_counter("grasp") as show:
+        found = compare_engines(loaded, workers=os.cpu_count() or 1, show=show)
+    counts = counts_of(found)
+    if options.out:
+        write_text(table, found.to_csv(index=False))
+        result = {"near_margin": NEAR_MARGIN, "counts": counts.to_dict(orient="index")}
+        write_text(record, json.dumps(result, indent=2) + "\n")
+    differing = found[~found["agree"]].drop(columns="agree").set_index("index").round(3)
+    for index, row in differing.iterrows():
+        print_status(f"grasp {index}\n{row.to_string()}\n")
+    print_status(counts.to_string())
+
+
+if __name__ == "__main__":
+    main()

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from typer.testing import CliRunner
 
-from tacgen.cli.common import app
-from tacgen.collection.compare_engines import counts_of
+from tacgen.core.errors import TacgenError
+from validation.physics.compare_engines import counts_of, main
 
 RECIPE = """
 name: two
@@ -40,18 +39,19 @@ def test_grasps_near_slipping_count_apart() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["wsg50", "ur5e_wsg50"])
-def test_a_grid_in_both_engines(robot: str, tmp_path: Path) -> None:
+def test_a_grid_in_both_engines(
+    robot: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pytest.importorskip("pybullet", reason="PyBullet has no wheel for this Python")
     recipe, out = tmp_path / "recipe.yaml", tmp_path / "out"
     recipe.write_text(f"{RECIPE}robot: {{name: {robot}, tactile_pads: both}}\n")
-    arguments = ["compare-engines", str(recipe), "--out", str(out), "--json"]
-    result = CliRunner().invoke(app, arguments)
-    assert result.exit_code == 0, result.output
+    monkeypatch.setattr("sys.argv", ["compare_engines", str(recipe), "--out", str(out)])
+    main()
     table = pd.read_csv(out / "grasps.csv")
     assert table["object"].tolist() == ["golf_ball"] * 2 + ["wood_block"] * 2
     assert {"pybullet_margin", "mujoco_margin", "mujoco_reason"} <= set(table.columns)
     record = json.loads((out / "comparison.json").read_text())
     assert record["counts"]["all"]["grasps"] == 4
     assert record["counts"]["all"]["agree"] == int(table["agree"].sum())
-    again = CliRunner().invoke(app, arguments)
-    assert "exists already" in str(again.exception)
+    with pytest.raises(TacgenError, match="exists already"):
+        main()
