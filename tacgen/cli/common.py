@@ -24,7 +24,7 @@ CLUSTER = "Cluster"
 MACHINE = "This machine"
 ORDER_OF_WORK = (
     *("collect", "init", "grid", "render", "inspect", "view", "verify", "merge", "export"),
-    *("recipe", "objects", "compare-engines"),
+    *("recipe", "objects",),
     *("import", "calibrate", "read", "diagnose", "friction", "rig"),
     *("train", "eval", "predict", "study"),
     *("submit", "status"),

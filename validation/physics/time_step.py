@@ -1,6 +1,6 @@
 """How many labels of far grasps change when PyBullet halves its time step, and from twice the step.
 
-Every shipped object is grasped as by ``validation.physics.compare_engines`` with ``grid: {sample: 20}``; *far*
+Every shipped object is grasped as by ``compare_engines.py`` with ``grid: {sample: 20}``; *far*
 is meant as there. Run it with ``python -m validation.physics.time_step [SEED ...]``.
 """
 
