@@ -45,7 +45,7 @@ def test_a_picture_shows_the_rendered_and_the_real_press(tmp_path):
 
 
 def test_a_calibrated_table_becomes_a_sensor(tmp_path, monkeypatch):
-    table = Path(tacgen.Sensor("digit").description.table).resolve()
+    table = Path(tacgen.Sensor("virtual_gelsight").description.table).resolve()
     monkeypatch.chdir(tmp_path)
     said("add", str(table), "--name", "my_digit", "--gel-depth-mm", "2.5", "--dome-radius-mm", "55")
     folder = tmp_path / "recipes/sensors"
