@@ -1,13 +1,14 @@
 """Pictures of the documentation, made by tacgen itself: docs/figures/*.png, each under 100 kB.
 
-``python -m docs.make_pictures FOLDER`` draws held-out presses of real sensors alone; the folder is
-``calib`` of the package ``taxim`` 1.4.1.
+``python -m docs.make_pictures NAME=PRESSES ...`` draws held-out presses of the real sensors alone;
+names and presses as in ``scripts.make_default_tables``.
 """
 
 from __future__ import annotations
 
 import io
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -20,14 +21,15 @@ from matplotlib.patches import Circle, Rectangle
 from PIL import Image
 
 import tacgen
-from scripts.make_default_tables import REAL
+from scripts.make_default_tables import heldout_score, made_small
 from scripts.make_default_tables import real_presses as real_presses_of
-from tacgen.calibrate.lookup.report import _pictures
+from tacgen.calibrate.lookup.score import PressRenderer, press_model_of
 from tacgen.calibrate.lookup.table_fit import calibrate
 from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe
 from tacgen.contact.gap import gap_map
+from tacgen.core.images import difference, side_by_side
 from tacgen.core.records import Mesh, frozen_array
 from tacgen.core.resources import object_folders
 from tacgen.learning.inputs import augmented
@@ -35,9 +37,10 @@ from tacgen.learning.training_recipe import Augmentation
 from tacgen.objects import load_object
 from tacgen.objects.shading import shaded_view
 from tacgen.optics.deform import deform
-from tacgen.presses.screening import usable_presses
 
 FIGURES = Path(__file__).parent / "figures"
+SHOWN = (0.25, 0.5, 0.9)
+"""Shares of the held-out presses, from the smallest error on, at which pictures are shown."""
 MAX_KB = 100
 
 
@@ -48,16 +51,35 @@ def main() -> None:
         print(save(draw(), FIGURES / f"{draw.__name__}.png"))  # noqa: T201
 
 
-def real_presses(calib: Path) -> str:
-    """Held-out presses of real sensors, the rendered ones, and four times the difference."""
-    rows = []
-    for name in REAL:
-        presses = usable_presses(real_presses_of(name, calib))
-        strips = _pictures(presses, calibrate(presses))
-        rows += [strips[k][1] for k in (1, 4)]
-    width = min(row.shape[1] for row in rows)
-    path = FIGURES / "real_presses.webp"
-    Image.fromarray(np.concatenate([row[:, :width] for row in rows])).save(path, quality=80)
+def real_presses(given: Sequence[str]) -> str:
+    """Real presses, the rendered ones by tables fitted without them, and 3 × the difference."""
+    columns = []
+    for pair in given:
+        name, _, path = pair.partition("=")
+        found = calibrate(real_presses_of(name, Path(path)))
+        presses, scored = found.presses.presses, heldout_score(found).presses
+        order = sorted(range(len(presses)), key=lambda k: scored[k].rmse("refined"))
+        strips = []
+        for k in (order[round(share * (len(order) - 1))] for share in SHOWN):
+            table = made_small(found.fold_tables[found.folds[k]])
+            renderer = PressRenderer(table, press_model_of(table, presses))
+            made = renderer.picture(scored[k].refined_mm, float(presses.ball_radius_mm[k]))
+            strip = [presses.images[k], made, difference(presses.images[k], made, 3.0)]
+            text = f"{presses.names[k]}: {scored[k].rmse('refined'):.1f} grey levels"
+            strips.append((text, side_by_side(strip)))
+        columns.append((name, strips))
+    widths = [strips[0][1].shape[1] / strips[0][1].shape[0] for _, strips in columns]
+    figure = Figure(figsize=(1.25 * sum(widths), 1.42 * len(SHOWN) + 0.3), layout="constrained")
+    grid = figure.subplots(len(SHOWN), len(columns), squeeze=False, width_ratios=widths)
+    for axes, (name, strips) in zip(grid.T, columns, strict=True):
+        for axis, (text, strip) in zip(axes, strips, strict=True):
+            axis.imshow(strip, interpolation="lanczos")
+            axis.set_title(text, fontsize=7)
+            axis.set_axis_off()
+        axes[0].set_title(f"{name}: real | rendered | 3 × difference\n{strips[0][0]}", fontsize=8)
+    buffer, path = io.BytesIO(), FIGURES / "real_presses.webp"
+    FigureCanvasAgg(figure).print_figure(buffer, format="png", dpi=110)
+    Image.open(buffer).convert("RGB").save(path, quality=88)
     return f"{path.name}: {path.stat().st_size / 1000:.0f} kB"
 
 
@@ -228,6 +250,6 @@ def save(figure: Figure, path: Path) -> str:
 
 if __name__ == "__main__":
     if sys.argv[1:]:
-        print(real_presses(Path(sys.argv[1])))  # noqa: T201
+        print(real_presses(sys.argv[1:]))  # noqa: T201
     else:
         main()

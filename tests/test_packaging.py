@@ -55,7 +55,9 @@ def test_the_wheel_alone_runs_in_an_empty_folder(which: str, wheel: Path, tmp_pa
     _run(*uv, "venv", "--python", python, str(tmp_path / "env"), cwd=folder)
     options = ("--python", str(bin_folder / "python"), "--constraint", ROOT / "requirements.lock")
     _run(*uv, "pip", "install", *map(str, options), str(wheel), cwd=folder)
-    rig = "extends: rig_images\nname: small\nsensor: {name: digit}\nschedule: {presses: 8}\n"
+    rig = (
+        "extends: rig_images\nname: small\nsensor: {name: gelsight_mini}\nschedule: {presses: 8}\n"
+    )
     (folder / "rig_small.yaml").write_text(rig)
     for line in (
         "collect quickstart --out data",

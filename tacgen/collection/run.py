@@ -121,6 +121,8 @@ def collect(
         GraspSimulator(recipe.robot.spec(), recipe.physics.engine)
     planned, spec = prepare(recipe, out, grow=grow)
     folder = DatasetFolder(out)
+    if progress:
+        print_status(f"sensor {spec.sensor.name}: colours from {spec.colors_from}")
     share = range(spec.n_shards) if shards is None else shards
     result = Collected(tuple(s for s in share if s not in redo and folder.is_done(s)))
     wanted = [shard for shard in share if shard not in result.found]

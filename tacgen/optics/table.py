@@ -215,7 +215,7 @@ def load_table(path: Path | str) -> LookupTable:
     --------
     >>> table = tacgen.load_table(tacgen.Sensor("digit").description.table)
     >>> table.shape_px, round(table.mm_per_px, 4)
-    ((320, 240), 0.0594)
+    ((640, 480), 0.027)
     """
     path = Path(path)
     try:

@@ -32,7 +32,7 @@ def test_a_law_that_is_not_there_is_named():
 def test_a_table_of_another_resolution_is_named_with_both():
     choice = {"name": "digit", "table": str(packaged("recipes") / "sensors/gelsight.table.npz")}
     recipe = Recipe.model_validate({"name": "r", "objects": ["cup"], "sensor": choice})
-    with pytest.raises(TableError, match=r"gelsight.table.npz: .* 640×480 .* 'digit' of 240×320"):
+    with pytest.raises(TableError, match=r"gelsight.table.npz: .* 640×480 .* 'digit' of 480×640"):
         tactile_pad(recipe)
 
 

@@ -24,9 +24,9 @@ def said(*words: str) -> str:
 
 def test_what_is_virtual_is_called_so():
     rows = {row["name"]: row for row in sensor_rows()}
-    assert "48 real ball presses" in rows["gelsight"]["colors_from"]
-    for name in ("digit", "virtual_gelsight", "gelsight_mini"):
-        assert "virtual sensor" in rows[name]["colors_from"]
+    for name, count in {"gelsight": 48, "digit": 49, "gelsight_mini": 49}.items():
+        assert f"{count} real ball presses of" in rows[name]["colors_from"]
+    assert "virtual sensor" in rows["virtual_gelsight"]["colors_from"]
     listed = said("list").splitlines()
     assert len(listed) == 1 + len(rows)
     facts = json.loads(said("show", "gelsight", "--json"))
@@ -45,7 +45,7 @@ def test_a_picture_shows_the_rendered_and_the_real_press(tmp_path):
 
 
 def test_a_calibrated_table_becomes_a_sensor(tmp_path, monkeypatch):
-    table = Path(tacgen.Sensor("digit").description.table).resolve()
+    table = Path(tacgen.Sensor("virtual_gelsight").description.table).resolve()
     monkeypatch.chdir(tmp_path)
     said("add", str(table), "--name", "my_digit", "--gel-depth-mm", "2.5", "--dome-radius-mm", "55")
     folder = tmp_path / "recipes/sensors"

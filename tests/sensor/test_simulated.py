@@ -127,7 +127,7 @@ def test_a_mesh_in_metres_is_warned_of_or_refused(sensor):
     small = trimesh.creation.icosphere(subdivisions=3, radius=0.004)
     with (
         pytest.warns(UserWarning, match="0.008 mm large: is it in metres"),
-        pytest.raises(ContactError, match="no pixel of 0.058 mm .* give mesh and pose in mm"),
+        pytest.raises(ContactError, match="no pixel of 0.0634 mm .* give mesh and pose in mm"),
     ):
         sensor.render(small, np.eye(4))  # the gel's middle is a corner of four pixels
     with pytest.warns(UserWarning, match="0.3 mm large: is it in metres"):
@@ -139,14 +139,14 @@ def test_an_object_beside_the_gel_is_refused(sensor, x_mm):
     moved = np.eye(4)
     moved[0, 3] = x_mm
     with pytest.raises(
-        ContactError, match=rf"over the gel of 28.6 × 23.9 mm: it is at x {x_mm - 4:g} to"
+        ContactError, match=rf"over the gel of 30.3 × 25.2 mm: it is at x {x_mm - 4:g} to"
     ):
         sensor.render(BALL, moved)
     assert sensor.render(BALL, moved, force_n=0.0).status == "no_contact"
 
 
 def test_a_frame_says_what_its_image_shows(sensor):
-    """Ball presses: in the window, across its edge (9.28 mm), pressed through, not at all."""
+    """Ball presses: in the window, across its edge (10.14 mm), pressed through, not at all."""
 
     def frame(force_n, x_mm=0.0):
         moved = np.eye(4)
@@ -156,12 +156,12 @@ def test_a_frame_says_what_its_image_shows(sensor):
     shown = frame(5.0)
     assert (shown.status, shown.saturated) == ("ok", False)
     assert shown.force_n.tolist() == [0.5, -0.2, 5.0]
-    half = frame(5.0, 9.28)
+    half = frame(5.0, 10.144)
     assert (half.status, half.saturated) == ("outside_window", False)
     assert half.force_n[2] == pytest.approx(2.5, rel=0.05)
     assert half.volume_mm3 == pytest.approx(5.135 * half.force_n[2], rel=0.01)
     np.testing.assert_allclose(half.force_n / half.force_n[2], shown.force_n / 5.0)
-    beside = frame(5.0, 13.0)
+    beside = frame(5.0, 13.9)
     assert beside.status == "outside_window"
     assert not beside.contact_mask.any()
     assert beside.force_n.tolist() == [0.0, 0.0, 0.0]

@@ -37,8 +37,8 @@ def imprint_of_ball(frame, x_mm=0.0):
     d_mm = frame.indentation_mm
     assert frame.volume_mm3 == pytest.approx(np.pi * d_mm**2 * (4.0 - d_mm / 3), rel=0.02)
     rows, columns = np.nonzero(frame.contact_mask)
-    assert (columns.mean() + 0.5 - 160) * 0.058 == pytest.approx(x_mm, abs=0.1)
-    assert (rows.mean() + 0.5 - 120) * 0.058 == pytest.approx(0.0, abs=0.1)
+    assert (columns.mean() + 0.5 - 160) * 0.0634 == pytest.approx(x_mm, abs=0.1)
+    assert (rows.mean() + 0.5 - 120) * 0.0634 == pytest.approx(0.0, abs=0.1)
 
 
 # --- MuJoCo ---------------------------------------------------------------------------------------
@@ -148,7 +148,7 @@ def test_a_box_larger_than_the_gel_shows_the_windows_part():
     than the window by 5 mm on each side."""
     box = '<geom type="box" size=".025 .025 .005" mass=".3"/>'
     frame = mujoco_frame(body(box, 0.0151))
-    width_mm, height_mm = 320 * 0.058, 240 * 0.058
+    width_mm, height_mm = 320 * 0.0634, 240 * 0.0634
     share = width_mm * height_mm / ((width_mm + 10) * (height_mm + 10))
     check(frame, 0.3, share=share, rel=0.03)
     assert frame.status == "outside_window"
@@ -156,7 +156,7 @@ def test_a_box_larger_than_the_gel_shows_the_windows_part():
 
 def test_a_ball_across_the_windows_edge_shows_its_part():
     """Half of it, at the edge itself."""
-    frame = mujoco_frame(body(BALL, 0.0141, 160 * 0.058e-3))
+    frame = mujoco_frame(body(BALL, 0.0141, 160 * 0.0634e-3))
     check(frame, 0.3, share=0.5, rel=0.05)
     assert frame.status == "outside_window"
 
@@ -267,7 +267,7 @@ def test_a_urdfs_cylinder_is_pressed_as_the_hull_that_collides(bullet, tmp_path)
     frame = bullet_frame(bullet, pad, robot)
     check(frame, 0.2)
     polygon_mm2 = 16 * 4.0**2 * np.sin(np.pi / 16)
-    assert frame.contact_mask.sum() * 0.058**2 == pytest.approx(polygon_mm2, rel=0.02)
+    assert frame.contact_mask.sum() * 0.0634**2 == pytest.approx(polygon_mm2, rel=0.02)
 
 
 @pytest.mark.parametrize("x_m", [0.012, 0.03])
