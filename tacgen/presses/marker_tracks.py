@@ -36,7 +36,7 @@ AXES = {
     "they are turned by 90°: write (-y, x)": ((0, -1), (1, 0)),
     "they are turned by 90°: write (y, -x)": ((0, 1), (-1, 0)),
 }
-"""In which axes tracks may be written, and what turns them into the gel's: the grid's symmetries."""
+"""In which axes tracks may be written, with the matrix that turns them into the gel's."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Tracks in other axes than the gel's are refused with the axes that fit; so is a fit of nothing."""
+"""Tracks in other axes than the gel's are refused with those that fit; so is a fit of nothing."""
 
 import re
 from dataclasses import replace

@@ -16,7 +16,7 @@ from tacgen.calibrate.contact.marker_fit import FieldFit, field_data, fit_field,
 from tacgen.calibrate.lookup.table_fit import fit_lookup
 from tacgen.contact.law import ContactLaw, save_law
 from tacgen.core.errors import PressError
-from tacgen.core.files import atomic_path, sha256_of
+from tacgen.core.files import atomic_path, refuse_other_page, sha256_of
 from tacgen.core.version import __version__
 from tacgen.optics.table import load_table
 from tacgen.presses.lab_table import LogFormat, LogTable, read_log_table
@@ -69,6 +69,8 @@ def calibrate_contact(
         known = ", ".join(CONTACT_POINTS)
         msg = f"--contact-point {contact_point!r} is not known; use one of {known}"
         raise PressError(msg)
+    if report is not None:
+        refuse_other_page(Path(report) / "contact.html", "calibrate contact")
     measured: tuple[str, ...] = ()
     volume_share = 0.0
     if Path(log).is_dir():
