@@ -15,6 +15,8 @@ from pathlib import Path
 from tacgen.core.errors import DatasetError, TacgenError
 from tacgen.core.lock import locked
 
+HEAD_BYTES = 500  # of a page, that hold its mark
+
 
 @contextlib.contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
@@ -115,6 +117,24 @@ def refuse_foreign(folder: Path, mark: str, names: Iterable[str]) -> None:
             "empty or a new folder as --out"
         )
         raise TacgenError(msg)
+
+
+def page_mark(made_by: str) -> str:
+    """The line in the head of a page by which the command that wrote it is known."""
+    return f'<meta name="generator" content="tacgen {made_by}">'
+
+
+def refuse_other_page(path: Path, made_by: str) -> None:
+    """Raise a ``TacgenError`` where a file ``path`` is no page that the command wrote."""
+    if not os.path.lexists(path):
+        return
+    with path.open("rb") as file:
+        if page_mark(made_by).encode() in file.read(HEAD_BYTES):
+            return
+    msg = (
+        f"{path}: is there already, and not from `tacgen {made_by}`; move it, or give a new folder"
+    )
+    raise TacgenError(msg)
 
 
 def require_readable(path: Path, error: type[TacgenError]) -> None:

@@ -39,6 +39,7 @@ def write_grasp_page(root: Path, index: int, path: Path) -> None:
         f"Grasp {index} of {root.name}: {sample.config.object}",
         summary=f"{sample.config.object}: {outcome}",
         template="grasp.html",
+        made_by="view",
         grasp=sample,
         outcome=outcome,
         player=_player(dataset, sample) if sample.pads else None,

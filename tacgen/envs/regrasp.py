@@ -23,7 +23,13 @@ from tacgen.collection.inputs import recipe_inputs
 from tacgen.collection.pipeline import GraspPipeline, frame_times_s
 from tacgen.collection.recipe import Recipe
 from tacgen.core.errors import LearningError
-from tacgen.core.files import refuse_foreign, sha256_of, sha256_of_content, write_text
+from tacgen.core.files import (
+    refuse_foreign,
+    refuse_other_page,
+    sha256_of,
+    sha256_of_content,
+    write_text,
+)
 from tacgen.core.lock import holder_of, locked
 from tacgen.core.progress import LOG, print_status
 from tacgen.core.records import LABEL_SUCCESS, GraspTrace
@@ -298,6 +304,7 @@ def _tried_in(
 ) -> dict[Drawn, list[Tried]]:
     """Every grasp in every drawn world, from the file of finished ones or simulated."""
     refuse_foreign(out, WORLDS, [RESULT, PAGE])
+    refuse_other_page(out / PAGE, "regrasp")
     out.mkdir(parents=True, exist_ok=True)
     lock = out / ".lock"
     with locked(lock) as held:

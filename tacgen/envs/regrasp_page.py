@@ -133,6 +133,7 @@ def write_regrasp_page(path: Path, result: Mapping[str, Any], played: Played) ->
         path,
         f"Regrasping by touch: {result['recipe']}",
         sections,
+        made_by="regrasp",
         summary=f"Success {before} of the first grasps, {after} after at most {allowed} regrasps "
         f"by touch: {_rate(share)} of the oracle's gain.",
     )

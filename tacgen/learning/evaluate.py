@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.errors import LearningError, require_known
-from tacgen.core.files import write_text
+from tacgen.core.files import refuse_other_page, write_text
 from tacgen.core.progress import print_status
 from tacgen.dataset.real_grasps import FRAME_UNKNOWN
 from tacgen.learning.checkpoint import ModelCard, load_model
@@ -64,6 +64,7 @@ def evaluate(
     the images were taken in another way.
     """
     folder = RunFolder(run)
+    refuse_other_page(folder.eval_report_path, "eval")
     if controls and real is not None:
         msg = "--controls are trained again, on simulated grasps; give --data DIR instead of --real"
         raise LearningError(msg)

@@ -38,6 +38,7 @@ def write_training_report(
         f"Training: {name}",
         summary=summary,
         template="training.html",
+        made_by="train",
         recipe=recipe,
         result=result,
         curves=plots.training_curves(metrics, result["best_epoch"]),
@@ -61,6 +62,7 @@ def write_evaluation_report(
         summary=f"Accuracy {result['accuracy']:.3f} ({lo:.3f} to {hi:.3f}) on {result['n']} grasps "
         f"({tested_on(result)}): {result['data']}",
         template="evaluation.html",
+        made_by="eval",
         result=result,
         confusion=plots.confusion(np.asarray(result["confusion"]), CLASS_NAMES, CLASS_NAMES),
         calibration=plots.reliability_diagram(reliability(*Predictions.joined(predictions))),

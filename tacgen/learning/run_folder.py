@@ -11,7 +11,7 @@ from pydantic import BaseModel, Field, ValidationError
 
 from tacgen.core.disk import disk_message
 from tacgen.core.errors import LearningError
-from tacgen.core.files import read_small_text, refuse_foreign, write_text
+from tacgen.core.files import read_small_text, refuse_foreign, refuse_other_page, write_text
 from tacgen.core.lock import holder_of, locked
 from tacgen.core.version import newer_problem
 from tacgen.dataset.folder import differences
@@ -113,6 +113,8 @@ class RunFolder:
         """
         try:
             self.root.mkdir(parents=True, exist_ok=True)
+            for name in plan["models"]:
+                refuse_other_page(self.model(name).report_path, "train")
             resumes = self.plan_path.is_file()
             if resumes:
                 self._refuse_another(plan)

@@ -27,6 +27,16 @@ JUMP = 0.5  # of the pitch: a dot this far off its neighbours' motion is another
 SAME_PLACE = 0.25  # of the pitch: two dots so near each other's places are swapped
 ROUNDS = 8  # of turning and shifting the grid onto the dots
 MAX_NAMED = 5  # frames that a warning spells out
+AXES = {
+    "y is mirrored (it points up; rows count down): write (x, -y)": ((1, 0), (0, -1)),
+    "x is mirrored: write (-x, y)": ((-1, 0), (0, 1)),
+    "they are turned by 180°: write (-x, -y)": ((-1, 0), (0, -1)),
+    "x and y are swapped: write (y, x)": ((0, 1), (1, 0)),
+    "x and y are swapped and mirrored: write (-y, -x)": ((0, -1), (-1, 0)),
+    "they are turned by 90°: write (-y, x)": ((0, -1), (1, 0)),
+    "they are turned by 90°: write (y, -x)": ((0, 1), (-1, 0)),
+}
+"""In which axes tracks may be written, with the matrix that turns them into the gel's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -291,22 +301,33 @@ def turned(grid_mm: FloatArray, turn_rad: float) -> FloatArray:
 
 def _on_grid(rest_mm: FloatArray, grid: FloatArray, pitch_mm: float, path: Path) -> IntArray:
     """Which point of the grid each dot at rest is, though the grid is turned and shifted."""
+    index, distance = _matched(rest_mm, grid)
+    worst = int(distance.argmax())
+    if _is_one_to_one(index, distance, pitch_mm):
+        return index
+    x, y = rest_mm[worst]
+    fix = "give the sensor that was pressed, and check px against mm"
+    if _is_one_to_one(*_matched((rest_mm - rest_mm.mean(axis=0))[:, ::-1], grid), pitch_mm):
+        fix = "x and y are swapped, or turned by 90°: write (y, x), (-y, x) or (y, -x)"
+    msg = (
+        f"{path}: the dots at rest are not on the sensor's grid: one at x = {x:.2f}, y = "
+        f"{y:.2f} mm is {distance[worst]:.2f} mm off (pitch {pitch_mm:g} mm): {fix}"
+    )
+    raise PressError(msg)
+
+
+def _matched(rest_mm: FloatArray, grid: FloatArray) -> tuple[IntArray, FloatArray]:
+    """The nearest point of the grid to each dot, turned and shifted onto them, and how far."""
     moved = grid
     for _ in range(ROUNDS):
-        distance, index = cKDTree(moved).query(rest_mm)
-        turn, shift = rigid_fit(rest_mm, grid[index])
+        turn, shift = rigid_fit(rest_mm, grid[cKDTree(moved).query(rest_mm)[1]])
         moved = turned(grid, turn) + shift
     distance, index = cKDTree(moved).query(rest_mm)
-    worst = int(distance.argmax())
-    if len(set(index.tolist())) < len(index) or distance[worst] > JUMP * pitch_mm:
-        x, y = rest_mm[worst]
-        msg = (
-            f"{path}: the dots at rest are not on the sensor's grid: one at x = {x:.2f}, y = "
-            f"{y:.2f} mm is {distance[worst]:.2f} mm off (pitch {pitch_mm:g} mm): give the sensor "
-            "that was pressed, and check px against mm"
-        )
-        raise PressError(msg)
-    return np.asarray(index)
+    return np.asarray(index), np.asarray(distance)
+
+
+def _is_one_to_one(index: IntArray, distance: FloatArray, pitch_mm: float) -> bool:
+    return len(set(index.tolist())) == len(index) and bool(distance.max() <= JUMP * pitch_mm)
 
 
 def _lost_dots(lost: BoolArray, known: BoolArray, labels: FloatArray, where: _Names) -> list[str]:

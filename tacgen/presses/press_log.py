@@ -697,16 +697,14 @@ def _check_stray_units(found: _Findings, blocks: list[IntArray]) -> None:
 
 def _check_tied_times(found: _Findings, blocks: list[IntArray]) -> None:
     """A warning where many samples of a press share a time: the clock's step hides their order."""
-    shares = [
-        (np.diff(found.columns["time_s"][found.kept(block)]) == 0).mean()
-        for block in blocks
-        if found.keep[block].sum() > 1
-    ]
+    times_s = [found.columns["time_s"][found.kept(block)] for block in blocks]
+    shares = [float((np.diff(one) == 0).mean()) for one in times_s if len(one) > 1]
     tied = sum(share > MOST_TIED for share in shares)
     if tied:
         found.warn(
-            f"samples of {tied} presses share their time ({max(shares):.0%} of them in one): what depends "
-            "on time or on the load's history cannot be told from this clock; add its parts of a second"
+            f"samples of {tied} presses share their time ({max(shares):.0%} in one of them): what "
+            "depends on time or on the load's history cannot be told from this clock; record it "
+            "with its parts of a second"
         )
 
 

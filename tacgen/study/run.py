@@ -15,7 +15,7 @@ from tacgen.collection.inputs import recipe_inputs
 from tacgen.collection.recipe import Recipe
 from tacgen.collection.run import collect
 from tacgen.core.errors import LearningError, TacgenError
-from tacgen.core.files import sha256_of_content, write_text
+from tacgen.core.files import refuse_other_page, sha256_of_content, write_text
 from tacgen.core.progress import print_status
 from tacgen.dataset.inputs import changed_roles
 from tacgen.dataset.real_grasps import read_real_grasps
@@ -56,6 +56,7 @@ def run_study(
     """
     chosen = with_rows(study, rows)
     run = _StudyRun(study, out, real, quick, workers)
+    refuse_other_page(out / "index.html", "study")
     run.refuse_changed_inputs()
     check_real_data(chosen, real, quick=quick)
     start_s = time.perf_counter()

@@ -33,7 +33,13 @@ def write_study(result: Mapping[str, Any], out: Path) -> None:
         table_section("By object", object_header, object_rows),
         text_section("How the figures were made", *remarks),
     )
-    write_page(out / "index.html", result["study"], sections, summary=result["description"])
+    write_page(
+        out / "index.html",
+        result["study"],
+        sections,
+        summary=result["description"],
+        made_by="study",
+    )
 
 
 def study_remarks(result: Mapping[str, Any]) -> list[str]:

@@ -16,7 +16,7 @@ from tacgen.calibrate.contact.marker_fit import FieldFit, field_data, fit_field,
 from tacgen.calibrate.lookup.table_fit import fit_lookup
 from tacgen.contact.law import ContactLaw, save_law
 from tacgen.core.errors import PressError
-from tacgen.core.files import atomic_path, sha256_of
+from tacgen.core.files import atomic_path, refuse_other_page, sha256_of
 from tacgen.core.version import __version__
 from tacgen.optics.table import load_table
 from tacgen.presses.lab_table import LogFormat, LogTable, read_log_table
@@ -69,6 +69,8 @@ def calibrate_contact(
         known = ", ".join(CONTACT_POINTS)
         msg = f"--contact-point {contact_point!r} is not known; use one of {known}"
         raise PressError(msg)
+    if report is not None:
+        refuse_other_page(Path(report) / "index.html", "calibrate contact")
     measured: tuple[str, ...] = ()
     volume_share = 0.0
     if Path(log).is_dir():
@@ -96,7 +98,7 @@ def calibrate_contact(
     if markers is not None:
         gel, tracks = load_tracks(markers, sensor, fit.log)
         data = field_data(tracks, gel, k_n.value)
-        field = fit_field(data)
+        field = fit_field(data, fit.shear.pooled if fit.shear else None)
         warnings = (*warnings, *tracks.warnings)
     fit = replace(fit, normal=replace(fit.normal, pooled=k_n), warnings=warnings)
     law = fit.law

@@ -28,6 +28,7 @@ def write_friction_report(
         f"Friction from {real.kind} grasps",
         summary=" ".join(verdict_of(name, fit) for name, fit in result.items()),
         template="friction.html",
+        made_by="friction",
         result=result,
         kind=real.kind,
         figures={

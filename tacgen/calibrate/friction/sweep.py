@@ -14,7 +14,7 @@ from tacgen.collection import perturbed
 from tacgen.collection.recipe import Recipe
 from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 from tacgen.core.errors import RecipeError
-from tacgen.core.files import refuse_foreign, write_text
+from tacgen.core.files import refuse_foreign, refuse_other_page, write_text
 from tacgen.core.resources import find_object_folder
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 
@@ -123,6 +123,7 @@ def sweep_friction(
     Raises ``DatasetError`` if a real grasp asks for a force that the recipe's gripper cannot give.
     """
     refuse_foreign(out, perturbed.OUTCOMES, ("friction.json", "index.html", "objects"))
+    refuse_other_page(out / "index.html", "friction")
     perturbed.check_forces(recipe, real)
     changes = {mu: perturbed.Perturbation(friction=mu) for mu in mu_values}
     wanted = [(grasp.config, change) for grasp in real.grasps for change in changes.values()]

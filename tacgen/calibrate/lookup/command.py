@@ -10,6 +10,7 @@ import numpy as np
 from tacgen.calibrate.lookup.scale import ScaleEvidence
 from tacgen.calibrate.lookup.score import TableScore, score_table
 from tacgen.calibrate.lookup.table_fit import Calibration, calibrate
+from tacgen.core.files import refuse_other_page
 from tacgen.optics.dots import filled_in
 from tacgen.optics.table import load_table, save_table
 from tacgen.presses.press_folder import read_presses
@@ -36,6 +37,8 @@ def calibrate_lookup(
     ``without_dots`` removes printed dots from the table's background, for simulations that draw
     moving ones.
     """
+    if report is not None:
+        refuse_other_page(Path(report) / "index.html", "calibrate lookup")
     raw = read_presses(presses_path, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm)
     presses = usable_presses(raw)
     calibration = calibrate(presses)

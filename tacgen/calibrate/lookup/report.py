@@ -36,6 +36,7 @@ def write_table_report(
         summary=f"Error on held-out presses: {result['rmse_refined']:.2f} grey levels (RMSE) with "
         f"each press's place re-estimated, {result['rmse_labels']:.2f} with places as labelled.",
         template="lookup_calibration.html",
+        made_by="calibrate lookup",
         result=result,
         strips=_pictures(presses, calibration),
         difference_gain=DIFFERENCE_GAIN,

@@ -17,7 +17,7 @@ from tacgen.calibrate.contact.rest_zero import without_zero
 from tacgen.contact.effects import CHANNELS, Channel
 from tacgen.contact.law import PLAIN_UNITS, ContactLaw, FittedEffect, save_law
 from tacgen.core.errors import PressError
-from tacgen.core.files import write_text
+from tacgen.core.files import refuse_other_page, write_text
 from tacgen.core.records import Estimate
 from tacgen.core.version import versions
 from tacgen.core.workers import map_in_processes
@@ -59,6 +59,8 @@ def diagnose_log(
     """
     from tacgen.diagnose.contact.report import write_report
 
+    for page in ("report.html", "grasp.html"):
+        refuse_other_page(out / page, "diagnose contact")
     log, pitch_mm = read_contact_log(
         path, log_format, radius_mm=radius_mm, table=table, save_log=out / "press_log.csv"
     )

@@ -43,7 +43,11 @@ def write_law_comparison(recipe: Recipe, before: ContactLaw, after: ContactLaw, 
         rendered = {name: pipeline.render(grasp, pad, law=law)[1] for name, law in laws.items()}
     sections = [_strips(rendered), _curves(frames, rendered)]
     write_page(
-        path, "One grasp with the law before and after", sections, summary=_summary(rendered)
+        path,
+        "One grasp with the law before and after",
+        sections,
+        summary=_summary(rendered),
+        made_by="diagnose contact",
     )
 
 

@@ -34,6 +34,7 @@ def write_report(diagnosis: Diagnosis, path: Path, *, title: str) -> None:
         summary=" ".join(f"{name.capitalize()}: {c['sentence']}" for name, c in channels.items()),
         verdict=next((v for v in ("unexplained", "effect_found") if v in verdicts), "sufficient"),
         template="contact_diagnosis.html",
+        made_by="diagnose contact",
         record=record,
         errors=plots.before_after(bars, "RMSE on held-out trials, % of the RMS signal"),
         correcting={

@@ -14,7 +14,7 @@ from tacgen.collection import perturbed
 from tacgen.collection.inputs import recipe_inputs
 from tacgen.collection.recipe import Recipe
 from tacgen.core.arrays import FloatArray, IntArray
-from tacgen.core.files import refuse_foreign, sha256_of, write_text
+from tacgen.core.files import refuse_foreign, refuse_other_page, sha256_of, write_text
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.diagnose.grasps.force_from_images import force_from_images
 from tacgen.diagnose.grasps.model_comparison import (
@@ -68,6 +68,7 @@ def diagnose_grasps(
     """
     results = ("diagnosis.json", "recipe.yaml", "next_grasps.csv", "report.html")
     refuse_foreign(out, perturbed.OUTCOMES, results)
+    refuse_other_page(out / "report.html", "diagnose grasps")
     perturbed.check_forces(recipe, real)
     configs = tuple(grasp.config for grasp in real.grasps)
     simulations = PerturbedSimulations(recipe, configs, out, workers, show)

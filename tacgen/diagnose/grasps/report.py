@@ -36,6 +36,7 @@ def write_grasp_report(
         summary=channel["sentence"],
         verdict=channel["verdict"],
         template="grasp_diagnosis.html",
+        made_by="diagnose grasps",
         record=record,
         channel=channel,
         figures=figures,

@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from tacgen.core.files import write_text
+from tacgen.core.files import refuse_other_page, write_text
 from tacgen.diagnose.optics.diagnose import OpticsDiagnosis, diagnose_optics
 from tacgen.diagnose.optics.pictures import press_pictures
 from tacgen.diagnose.optics.report import write_optics_page
@@ -22,6 +22,7 @@ def diagnose_presses(
     ball_radius_mm: float | None = None,
 ) -> tuple[OpticsDiagnosis, PressImages]:
     """Diagnose the presses at a path; write diagnosis.json, table.npz and report.html."""
+    refuse_other_page(Path(out) / "report.html", "diagnose optics")
     given = None if table_path is None else load_table(table_path)
     raw = read_presses(presses_path, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm)
     # Beside a table from before a lens or a camera that changed is what is looked for.

@@ -39,6 +39,7 @@ def write_optics_page(
         summary=channel["sentence"],
         verdict=channel["verdict"],
         template="optics_diagnosis.html",
+        made_by="diagnose optics",
         channel=channel,
         errors=plots.before_after(bars, "RMSE on held-out presses, grey levels"),
         pictures_of_presses=pictures,
