@@ -5,6 +5,7 @@ solved on the device.
 """
 
 from collections.abc import Iterable
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,15 @@ class Gels:
         self._lattice: Any = None
         self.slides: Any = wp.zeros(n, dtype=wp.bool, device=device)
         self.may_be_sheared = False
+
+    def history(self) -> tuple[Any, ...]:
+        """What the gels remember on the host, for ``take_back``; the device goes on last."""
+        courses = [copy(course) for course in self._courses]
+        return self._last_s.copy(), self._is_new.copy(), courses, self.may_be_sheared
+
+    def take_back(self, history: tuple[Any, ...]) -> None:
+        """Remember what they did then."""
+        self._last_s, self._is_new, self._courses, self.may_be_sheared = history
 
     def begin(self, worlds: Iterable[int] | NDArray[np.integer[Any]]) -> None:
         """A new press, of a gel at rest, in some worlds."""

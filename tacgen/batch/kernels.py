@@ -462,7 +462,8 @@ def results(p: Worlds, least_mm: wp.float32, beside: Ints2, each_mm3: wp.float64
     for k in range(beside.shape[1]):
         total += wp.max(p.delta[w] - wp.float64(beside[w, k]), wp.float64(0.0))
     touches = p.zero_mm[w] < wp.float64(wp.inf) or total > wp.float64(0.0)
-    p.saturated[p.start + w] = touches and p.delta[w] >= p.deepest[w]
+    is_pressed = touches and p.asked[p.start + w] > wp.float64(0.0)
+    p.saturated[p.start + w] = is_pressed and p.delta[w] >= p.deepest[w]
     p.beside_mm3[p.start + w] = total * each_mm3
 
 

@@ -8,6 +8,8 @@ gigabytes and have no kernels of their own for the exact solve, the meshes and t
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -165,13 +167,12 @@ class BatchSensor:
         arrays, kind = self._arrays, self._arrays.kind_of(gap_mm)
         shape = (self.n, *self.description.shape_px)
         gap = arrays.as_warp(gap_mm, "gap_mm", shape, self._device, ("float32",))
-        if self._ask(force_n, shear_n, turn, time_s) is not None:
-            msg = "shear moves the object, which a gap map does not tell; give render_meshes meshes"
-            raise SensorError(msg)
-        for start in self._renderer.parts():
-            self._renderer.indent_gaps(gap, start, is_depth=self._is_depth)
-            self._renderer.draw(self._noise_seed())
-        return self._frame(kind)
+        with self._refused_as_if_not_called():
+            self._ask(force_n, shear_n, turn, time_s, has_meshes=False)
+            for start in self._renderer.parts():
+                self._renderer.indent_gaps(gap, start, is_depth=self._is_depth)
+                self._renderer.draw(self._noise_seed())
+            return self._frame(kind)
 
     def render_depth(self, depth_mm: Any) -> BatchFrame:
         """The frames of indentations (N, H, W) float32, in mm, that the simulation itself gives."""
@@ -217,18 +218,17 @@ class BatchSensor:
             places = pose.numpy()
             farthest = np.abs(places[:, :3, 3]).max(axis=1).argmax()
             warn_of_metres(places[farthest], "poses: no object")
-        gels = self._ask(force_n, shear_n, turn, time_s)
         drawn = self._renderer
-        drawn.pose_meshes(ids, pose)
-        if gels is not None and (problem := drawn.problem()):
-            raise ContactError(problem)
-        for start in drawn.parts():
-            drawn.indent_meshes(start, is_depth=self._is_depth)
-            if gels is not None:
-                drawn.shear_meshes(gels)
+        with self._refused_as_if_not_called():
+            drawn.pose_meshes(ids, pose)
+            gels = self._ask(force_n, shear_n, turn, time_s)
+            for start in drawn.parts():
                 drawn.indent_meshes(start, is_depth=self._is_depth)
-            drawn.draw(self._noise_seed())
-        return self._frame(kind)
+                if gels is not None:
+                    drawn.shear_meshes(gels)
+                    drawn.indent_meshes(start, is_depth=self._is_depth)
+                drawn.draw(self._noise_seed())
+            return self._frame(kind)
 
     def reset(self, world_ids: Any = None) -> None:
         """Begin a new press, on a gel at rest, in some worlds; in all without ``world_ids``.
@@ -247,7 +247,20 @@ class BatchSensor:
             raise SensorError(msg)
         self._gels.begin(ids)
 
-    def _ask(self, force_n: Any, shear_n: Any, turn: Any, time_s: Any) -> Any:
+    @contextmanager
+    def _refused_as_if_not_called(self) -> Iterator[None]:
+        """A call that raises leaves the gels' histories, and no complaint, for the next."""
+        history = self._gels.history()
+        try:
+            yield
+        except Exception:
+            self._renderer.problem()
+            self._gels.take_back(history)
+            raise
+
+    def _ask(
+        self, force_n: Any, shear_n: Any, turn: Any, time_s: Any, *, has_meshes: bool = True
+    ) -> Any:
         """Put what the law asks of each gel on the device; the gels, where they are sheared."""
         n, law, gels, drawn = self.n, self.law, self._gels, self._renderer
 
@@ -267,6 +280,9 @@ class BatchSensor:
             msg = f"world {wrong[0]}: shear_n, turn or time_s is not finite"
             raise ContactError(msg)
         is_sheared = bool(pulls.any()) or (times is not None and gels.may_be_sheared)
+        if is_sheared and not has_meshes:
+            msg = "shear moves the object, which a gap map does not tell; give render_meshes meshes"
+            raise SensorError(msg)
         compliance = law.k_depth_mm_per_n if self._is_depth else law.k_n_mm3_per_n
         factor = compliance.value if compliance is not None else 0.0
         per_unit = GAP_GRAIN_MM * (1.0 if self._is_depth else self.description.pixel_area_mm2)
@@ -290,10 +306,10 @@ class BatchSensor:
         return (self._seed * 0x9E3779B1 + self._calls * 0x85EBCA77) % (1 << 32)
 
     def _frame(self, kind: str) -> BatchFrame:
-        self._calls += 1
         drawn = self._renderer
         if problem := drawn.problem():
             raise ContactError(problem)
+        self._calls += 1
         worlds = drawn.worlds
         found = [getattr(worlds, name) for name in FIELDS] + [self._gels.slides]
         found += [worlds.markers_mm] if worlds.n_markers else []

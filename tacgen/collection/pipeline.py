@@ -195,9 +195,9 @@ class GraspPipeline:
         shown: tuple[FloatArray, GelLoad, Imprint | None] | None = None
         for time_s, pose, load in loaded(trace.frames[pad]):
             while steps and steps[0][0] < time_s:
-                _, *step = steps.popleft()
-                if advanced is None or not is_near(*step, *advanced):
-                    before, advanced = self._pad.advance(surface, *step, before), step
+                _, at, by = steps.popleft()
+                if advanced is None or not is_near(at, by, *advanced):
+                    before, advanced = self._pad.advance(surface, at, by, before), (at, by)
             if shown and shown[2] is before and load == shown[1] and (pose == shown[0]).all():
                 imprints.append(imprints[-1])
             else:

@@ -5,9 +5,10 @@ Engines are in metres; what leaves this module is in mm, N and the gel frame.
 
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Container, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,8 @@ SPHERE_SUBDIVISIONS = 6  # 82 k triangles: facets of a ball of 10 mm are then fl
 TOUCHING_GAP_M = 2e-3
 """Bodies farther apart than this, and than they move in a step, do not press on each other: Bullet
 lets bodies sink in and rebound by tenths of a millimetre."""
+
+SOFT_BODY = 3  # among the kinds of PyBullet's getDynamicsInfo
 
 NO_MESH = Mesh.fixed(np.zeros((0, 3)), np.zeros((0, 3)))
 
@@ -68,7 +71,8 @@ class EngineContacts(ABC):
         self._sensor = sensor
         self._half_gel_mm = np.array(gel_size_mm(sensor)) / 2
         self._given: dict[int, Mesh | None] = {}
-        self._own: dict[Part, Mesh] = {}
+        self._given_with: dict[Part, Hashable] = {}
+        self._own: dict[Part, tuple[Hashable, Mesh]] = {}
 
     def contact(self) -> EngineContact:
         """What presses on the gel now; raises ``SensorError`` if no object is watched."""
@@ -76,8 +80,8 @@ class EngineContacts(ABC):
             msg = "the sensor knows of no object; call add_object with the body that it touches"
             raise SensorError(msg)
         gel = self._gel_pose_m()
-        points_m, forces_n, parts = self._forces_on_gel()
-        local_n = forces_n @ gel[:3, :3]
+        points_m, forces_n, moments_n_m, parts = self._forces_on_gel()
+        local_n, twists_n_mm = forces_n @ gel[:3, :3], MM_PER_M * moments_n_m @ gel[:3, 2]
         points_mm = MM_PER_M * (points_m - gel[:3, 3]) @ gel[:3, :3]
         pressed_n = np.maximum(-local_n[:, 2], 0.0)
         level, beyond = self._places(points_mm, pressed_n)
@@ -90,6 +94,7 @@ class EngineContacts(ABC):
         center_mm = pressed_n @ points_mm[:, :2] / max(float(pressed_n.sum()), 1e-12)
         arms_mm = points_mm[:, :2] - center_mm
         torsion = np.sum(arms_mm[:, 0] * local_n[:, 1] - arms_mm[:, 1] * local_n[:, 0])
+        torsion += twists_n_mm[used].sum()
         total = local_n.sum(axis=0)
         force = np.array([total[0], total[1], 0.0 - total[2]])
         mesh, at = self._surface(touching, inverse(gel))
@@ -126,6 +131,12 @@ class EngineContacts(ABC):
         found: dict[Part, Mesh] = {}
         for part in parts:
             given = self._given[part[0]]
+            if given is not None and self._shapes(part) != self._given_with.get(part):
+                msg = (
+                    f"body {part[0]} has other shapes than when its mesh was given: the mesh may "
+                    "be of another body; call add_object again, with the mesh of this one"
+                )
+                raise SensorError(msg)
             if given is not None and self._is_of(given, part):
                 found[part[0], self._root(part[0])] = given
             else:
@@ -154,10 +165,16 @@ class EngineContacts(ABC):
         return bool((corners >= low - slack_mm).all() and (corners <= high + slack_mm).all())
 
     def _own_mesh(self, part: Part) -> Mesh:
-        """The shapes of a part that the engine collides, made once."""
-        if part not in self._own:
-            self._own[part] = self._mesh_of(part)
-        return self._own[part]
+        """The shapes of a part that the engine collides, made again where they change."""
+        shapes = self._shapes(part)
+        if part not in self._own or self._own[part][0] != shapes:
+            self._own[part] = shapes, self._mesh_of(part)
+        return self._own[part][1]
+
+    def _watch(self, body: int, parts: Iterable[Part], mesh: Mesh | None) -> None:
+        """Watch an object of these parts; a given mesh serves as long as their shapes stay."""
+        self._given_with.update((part, self._shapes(part)) for part in parts)
+        self._given[body] = mesh
 
     @abstractmethod
     def clock_s(self) -> float | None:
@@ -179,6 +196,10 @@ class EngineContacts(ABC):
         """The part of an object whose frame is the object's."""
 
     @abstractmethod
+    def _shapes(self, part: Part) -> Hashable:
+        """What a part's mesh is made from: engines give its number to another, or change it."""
+
+    @abstractmethod
     def _mesh_of(self, part: Part) -> Mesh:
         """The shapes of a part that the engine collides, in the part's frame."""
 
@@ -191,8 +212,11 @@ class EngineContacts(ABC):
         """Pose (4, 4) of a part in the world."""
 
     @abstractmethod
-    def _forces_on_gel(self) -> tuple[FloatArray, FloatArray, list[Part]]:
-        """Contact points (n, 3), m, the forces (n, 3) on the gel there, N, world; what presses."""
+    def _forces_on_gel(self) -> tuple[FloatArray, FloatArray, FloatArray, list[Part]]:
+        """Contact points (n, 3), m; forces and moments on the gel there, N, N m; what presses.
+
+        In world axes.
+        """
 
 
 @dataclass(slots=True)
@@ -240,9 +264,8 @@ class PyBulletContacts(EngineContacts):
         super().__init__(sensor)
         self._bullet, self._client = pybullet, client_id
         self._body, self._link, self._gel = int(body_id), int(link_id), pose_link_gel_m
-        self._inertial_m: dict[Part, FloatArray] = {}
         self._last: _BulletStep | None = None
-        self._asked("body", body_id, pybullet.getBodyInfo, self._body)
+        self._refuse_soft(self._body)
         n_links = self._asked("body", body_id, pybullet.getNumJoints, self._body)
         if not -1 <= self._link < n_links:
             msg = f"link_id = {link_id}: body {body_id} has links -1 (its base) to {n_links - 1}"
@@ -267,23 +290,46 @@ class PyBulletContacts(EngineContacts):
     def add_object(self, body: Any, mesh: Mesh | None) -> None:
         """Watch for contacts of a body's links; ``mesh`` is in the frame of its base link."""
         number = int(body)
-        self._asked("body", body, self._bullet.getBodyInfo, number)
-        shapes = self._bullet.getCollisionShapeData
+        self._refuse_soft(number)
         links = range(-1, self._asked("body", body, self._bullet.getNumJoints, number))
         if mesh is None:
-            has_shapes = [k for k in links if self._asked("body", body, shapes, number, k)]
+            has_shapes = [k for k in links if self._shape_data((number, k))]
             if not has_shapes:
                 msg = f"body {body} has no shape that collides; give a mesh: add_object(…, mesh=…)"
                 raise SensorError(msg)
             self._own_mesh((number, has_shapes[0]))
-        self._given[number] = mesh
+        self._watch(number, [(number, k) for k in links], mesh)
+
+    def _refuse_soft(self, body: int) -> None:
+        """Raise a ``SensorError`` for a soft body: of those PyBullet tells no collision shape."""
+        info = self._asked("body", body, self._bullet.getBodyInfo, body)
+        if self._asked("body", body, self._bullet.getDynamicsInfo, body, -1)[10] == SOFT_BODY:
+            msg = (
+                f"body {body} ({info[1].decode() or 'without a name'}) is soft: the sensor cannot "
+                "draw a surface that the engine deforms; use rigid bodies"
+            )
+            raise SensorError(msg)
+
+    def _shape_data(self, part: Part) -> Any:
+        return self._asked("body", part[0], self._bullet.getCollisionShapeData, *part)
+
+    def _shapes(self, part: Part) -> Hashable:
+        data, meshes = self._shape_data(part), list[object]()
+        for k, one in enumerate(data):
+            if one[2] == self._bullet.GEOM_MESH:
+                file = Path(one[4].decode())
+                is_there = file.is_file()
+                meshes.append(file.stat().st_mtime_ns if is_there else self._vertices_m(part, k))
+        name = self._asked("body", part[0], self._bullet.getBodyInfo, part[0])
+        place = self._asked("body", part[0], self._bullet.getDynamicsInfo, *part)[3:5]
+        return data, name, place, tuple(meshes)
 
     def _root(self, body: int) -> int:
         return -1
 
     def _mesh_of(self, part: Part) -> Mesh:
         body, link = part
-        data = self._asked("body", body, self._bullet.getCollisionShapeData, body, link)
+        data = self._shape_data(part)
         shapes = [_bullet_shape(one, partial(self._hull_of, part, k)) for k, one in enumerate(data)]
         found = _merged(shapes, f"link {link} of body {body}")
         inertial = self._inertial_of(part)
@@ -295,17 +341,19 @@ class PyBulletContacts(EngineContacts):
 
         It makes one of a URDF's cylinder.
         """
-        _, vertices_m = self._bullet.getMeshData(
-            *part, collisionShapeIndex=number, physicsClientId=self._client
-        )
+        vertices_m = self._vertices_m(part, number)
         return trimesh.Trimesh(vertices_m).convex_hull if len(vertices_m) > 3 else None
 
+    def _vertices_m(self, part: Part, number: int) -> tuple[tuple[float, ...], ...]:
+        known: tuple[tuple[float, ...], ...] = self._bullet.getMeshData(
+            *part, collisionShapeIndex=number, physicsClientId=self._client
+        )[1]
+        return known
+
     def _inertial_of(self, part: Part) -> FloatArray:
-        """The inertial frame of a link in the link's own; it stays, and shapes are given in it."""
-        if part not in self._inertial_m:
-            known = self._asked("body", part[0], self._bullet.getDynamicsInfo, *part)
-            self._inertial_m[part] = pose(rotation_of(known[4]), known[3])
-        return self._inertial_m[part]
+        """The inertial frame of a link in the link's own; shapes are given in it."""
+        known = self._asked("body", part[0], self._bullet.getDynamicsInfo, *part)
+        return pose(rotation_of(known[4]), known[3])
 
     def _part_pose_m(self, part: Part) -> FloatArray:
         body, link = part
@@ -346,6 +394,8 @@ class PyBulletContacts(EngineContacts):
         touching = [(part, contact) for part, contact in pressing if part is not None]
         numbers = [(*c[5], *c[6], *c[7], c[8], *(step_s * c[k] for k in (9, 10, 12))) for c in raw]
         touched = {part for part, _ in touching}
+        for body in {body for body, _ in touched}:
+            self._refuse_soft(body)  # the number may have been a rigid one's
         places = [self._part_pose_m(part) for part in sorted(touched)]
         now = _BulletStep(np.array(numbers), np.array([self._gel_pose_m(), *places]), step_s,
                           substeps)  # fmt: skip
@@ -387,7 +437,7 @@ class PyBulletContacts(EngineContacts):
         )  # fmt: skip
         return bool(found)
 
-    def _forces_on_gel(self) -> tuple[FloatArray, FloatArray, list[Part]]:
+    def _forces_on_gel(self) -> tuple[FloatArray, FloatArray, FloatArray, list[Part]]:
         gel = self._body, self._link
         points, forces, parts = list[Any](), list[Any](), list[Part]()
         for part, raw in self._fresh_contacts():
@@ -401,7 +451,8 @@ class PyBulletContacts(EngineContacts):
             points.append(raw[5] if sides[part] > 0 else raw[6])
             forces.append(on_gel)
             parts.append(part)
-        return np.array(points).reshape(-1, 3), np.array(forces).reshape(-1, 3), parts
+        points_m, forces_n = np.array(points).reshape(-1, 3), np.array(forces).reshape(-1, 3)
+        return points_m, forces_n, np.zeros_like(forces_n), parts  # it tells of no moments
 
 
 class MujocoContacts(EngineContacts):
@@ -440,13 +491,24 @@ class MujocoContacts(EngineContacts):
         """Watch for contacts of a body and those below it; ``mesh`` is in its body frame."""
         number = self._body_id(body)
         parts = [k for k in range(self._model.nbody) if self._object_of(k, {number}) == number]
+        for flex in range(self._model.nflex):
+            start = self._model.flex_vertadr[flex]
+            of_flex = self._model.flex_vertbodyid[start : start + self._model.flex_vertnum[flex]]
+            if {*of_flex.tolist()} & {*parts} - {0}:  # it may be pinned to the world
+                kind = self._mujoco.mjtObj.mjOBJ_FLEX
+                name = self._mujoco.mj_id2name(self._model, kind, flex)
+                msg = (
+                    f"body {body!r} is of the flex {name!r}, which is soft: "
+                    "the sensor cannot draw a surface that the engine deforms; use rigid bodies"
+                )
+                raise SensorError(msg)
         if not any(self._touching_geoms(k) for k in parts):
             msg = (
                 f"body {body!r} has no geom that can touch the sensor's (contype, conaffinity); "
                 "name the body that does"
             )
             raise SensorError(msg)
-        self._given[number] = mesh
+        self._watch(number, [(number, k) for k in parts], mesh)
 
     def _object_of(self, body: int, objects: Container[int]) -> int | None:
         """The nearest of the objects that a body belongs to; the world's is only itself."""
@@ -476,6 +538,26 @@ class MujocoContacts(EngineContacts):
     def _root(self, body: int) -> int:
         return body
 
+    def _shapes(self, part: Part) -> Hashable:
+        return tuple(self._made_from(geom) for geom in self._touching_geoms(part[1]))
+
+    def _made_from(self, geom: int) -> tuple[bytes, ...]:
+        model = self._model
+        kept = [model.geom_type, model.geom_size, model.geom_pos, model.geom_quat]
+        found = [np.array(one[geom]).tobytes() for one in kept]
+        if model.geom_type[geom] == self._mujoco.mjtGeom.mjGEOM_MESH:
+            found += [one.tobytes() for one in self._mesh(geom)]
+        return tuple(found)
+
+    def _mesh(self, geom: int) -> tuple[FloatArray, NDArray[np.int32]]:
+        """Vertices and faces of a geom's mesh."""
+        model, number = self._model, self._model.geom_dataid[geom]
+        vertex, face = model.mesh_vertadr[number], model.mesh_faceadr[number]
+        return (
+            model.mesh_vert[vertex : vertex + model.mesh_vertnum[number]],
+            model.mesh_face[face : face + model.mesh_facenum[number]],
+        )
+
     def _mesh_of(self, part: Part) -> Mesh:
         shapes = [self._shape(k) for k in self._touching_geoms(part[1])]
         found = _merged(shapes, f"body {self._model.body(part[1]).name!r}")
@@ -497,11 +579,7 @@ class MujocoContacts(EngineContacts):
         elif kind == kinds.mjGEOM_CAPSULE:
             shape = _capsule(size[0], 2 * size[1])
         elif kind == kinds.mjGEOM_MESH:
-            number = self._model.geom_dataid[geom]
-            vertex, face = self._model.mesh_vertadr[number], self._model.mesh_faceadr[number]
-            vertices = self._model.mesh_vert[vertex : vertex + self._model.mesh_vertnum[number]]
-            faces = self._model.mesh_face[face : face + self._model.mesh_facenum[number]]
-            shape = trimesh.Trimesh(vertices, faces, process=False)
+            shape = trimesh.Trimesh(*self._mesh(geom), process=False)
         else:
             name = self._model.geom(geom).name
             msg = f"geom {name!r} has no mesh of its own; give one: add_object(body, mesh=…)"
@@ -547,8 +625,8 @@ class MujocoContacts(EngineContacts):
                 )
                 raise SensorError(msg)
 
-    def _forces_on_gel(self) -> tuple[FloatArray, FloatArray, list[Part]]:
-        points, forces, parts = [np.zeros((0, 3))], [np.zeros((0, 3))], list[Part]()
+    def _forces_on_gel(self) -> tuple[FloatArray, FloatArray, FloatArray, list[Part]]:
+        points, wrenches, parts = list[FloatArray](), list[FloatArray](), list[Part]()
         for k in range(self._data.ncon):
             contact = self._data.contact[k]
             if min(contact.geom) < 0:  # of a soft body, which has no geoms
@@ -561,13 +639,15 @@ class MujocoContacts(EngineContacts):
                 continue
             wrench = np.zeros(6)
             self._mujoco.mj_contactForce(self._model, self._data, k, wrench)
-            # In the contact's frame, rows of `frame`; it acts on the second geom.
-            on_second = wrench[:3] @ np.array(contact.frame).reshape(3, 3)
-            forces.append(on_second[None] if second == self._body else -on_second[None])
-            points.append(np.array(contact.pos)[None])
+            # In the contact's frame, rows of `frame`; it acts on the second geom. With condim 4
+            # and 6 friction also holds the turn about the contact's axes, by a moment.
+            on_second = wrench.reshape(2, 3) @ np.array(contact.frame).reshape(3, 3)
+            wrenches.append(on_second if second == self._body else -on_second)
+            points.append(np.array(contact.pos))
             parts.append((owner, other))
         self._refuse_moved(parts)
-        return np.concatenate(points), np.concatenate(forces), parts
+        forces_n, moments_n_m = np.array(wrenches).reshape(-1, 2, 3).swapaxes(0, 1)
+        return np.array(points).reshape(-1, 3), forces_n, moments_n_m, parts
 
 
 def _bullet_shape(
@@ -604,7 +684,9 @@ def _bullet_shape(
 
 def _capsule(radius_m: float, length_m: float) -> trimesh.Trimesh:
     """A capsule about the origin, its cylinder ``length_m`` long along z."""
-    shape = trimesh.creation.capsule(length_m, radius_m, count=[SECTIONS // 2, SECTIONS // 2])
+    size_mm = MM_PER_M * length_m, MM_PER_M * radius_m  # in metres trimesh drops small triangles
+    shape = trimesh.creation.capsule(*size_mm, count=[SECTIONS // 2, SECTIONS // 2])
+    shape.apply_scale(1.0 / MM_PER_M)
     shape.apply_translation(-shape.bounds.mean(axis=0))
     return shape
 

@@ -72,7 +72,10 @@ class Frame:
     contact_mask : (H, W) bool
     force_n : (3,) float64
         Force of the object on the gel that the image shows: along the gel's x and y, and into the
-        gel. What acts on the gel beside the window is not in it.
+        gel. What acts on the gel beside the window is not in it, but in
+    total_force_n : (3,) float64
+        All that presses on the gel; NaN in a frame that was read from an image, which does not
+        show it.
     indentation_mm, volume_mm3 : float
         Deepest indentation beyond first touch, and the displaced volume, in the window.
     markers_px : (n, 2) float64 or None
@@ -97,6 +100,9 @@ class Frame:
     indentation_mm: float
     volume_mm3: float
     markers_px: NDArray[np.float64] | None
+    total_force_n: NDArray[np.float64] = field(
+        default_factory=lambda: np.full(3, np.nan), kw_only=True
+    )
     saturated: bool = field(default=False, kw_only=True)
     status: ContactStatus = field(default="ok", kw_only=True)
     _touch: _Touch | None = field(default=None, kw_only=True, repr=False, compare=False)
@@ -350,12 +356,15 @@ class Sensor:
         contact_mask = np.zeros(self.description.shape_px, dtype=bool)
         contact_mask[top:bottom, left:right] = imprint.depth_mm > 0
         shown = imprint.share
-        force_n = shown * contact.force_n
+        presses = contact.force_normal_n > 0 and not imprint.is_beside_gel
+        total_force_n = contact.force_n if presses else np.zeros(3)
+        force_n = shown * total_force_n if imprint.depth_mm.size else np.zeros(3)
         return Frame(
             rgb=self._pad.image(imprint, rng=self._rng),
             depth_mm=imprint.depth_map_mm(self.description),
             contact_mask=contact_mask,
             force_n=force_n,
+            total_force_n=total_force_n,
             indentation_mm=imprint.indentation_mm,
             volume_mm3=imprint.volume_mm3,
             markers_px=self._markers_px(imprint),

@@ -7,7 +7,9 @@ import pytest
 import trimesh
 
 from tacgen.contact.law import ContactLaw, FittedEffect
+from tacgen.core.errors import SensorError
 from tacgen.core.records import ContactFrame, Estimate
+from tacgen.sensor.engines import _capsule
 from tacgen.sensor.gel_response import GelCourse
 from tacgen.sensor.simulated import Sensor, as_mesh
 
@@ -238,3 +240,219 @@ def test_twenty_thousand_readings_remember_no_more_than_ten():
         course.load(ContactFrame(0.01 * k, force_n, np.zeros(2), 0.0, np.eye(4)), 0.0)
         sizes.append(len(course._after))
     assert sizes[9] == sizes[-1]
+
+
+@pytest.fixture
+def bullet():
+    """PyBullet with a fixed block, of which the upper face is the gel."""
+    p = pytest.importorskip("pybullet")
+    client = p.connect(p.DIRECT)
+    yield p, client
+    p.disconnect(client)
+
+
+def bullet_pad(p, client):
+    p.resetSimulation(p.RESET_USE_DEFORMABLE_WORLD, physicsClientId=client)
+    p.setGravity(0, 0, -9.81, physicsClientId=client)
+    half_m = [0.05, 0.05, 0.01]
+    shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=half_m, physicsClientId=client)
+    return p.createMultiBody(0, shape, physicsClientId=client)
+
+
+def bullet_shapes(p):
+    """Of bodies that are loaded one after the other."""
+    corners_m = trimesh.creation.box((0.006, 0.003, 0.012)).vertices
+    return (
+        {"shapeType": p.GEOM_SPHERE, "radius": 0.006},
+        {"shapeType": p.GEOM_BOX, "halfExtents": [0.004, 0.002, 0.006]},
+        {"shapeType": p.GEOM_MESH, "vertices": corners_m.tolist()},
+        {"shapeType": p.GEOM_MESH, "vertices": (corners_m * [2, 1, 1]).tolist()},
+        {
+            "shapeType": p.GEOM_SPHERE,
+            "radius": 0.006,
+            "collisionFramePosition": [0.002, 0.0, 0.0],
+        },
+    )
+
+
+@pytest.mark.parametrize("how", ["removed", "everything reset", "added again"])
+def test_a_body_with_the_number_of_a_removed_one_is_seen_as_it_is(bullet, how):
+    p, client = bullet
+    pad = bullet_pad(p, client)
+
+    def attached():
+        one = Sensor("gelsight_mini", force_field=(2, 2))
+        return one.attach_pybullet(pad, pose_link_gel=GEL, client_id=client)
+
+    used, shown = attached(), []
+    for number, shape in enumerate(bullet_shapes(p)):
+        if how == "everything reset":
+            bullet_pad(p, client)
+        made = p.createCollisionShape(**shape, physicsClientId=client)
+        body = p.createMultiBody(0.3, made, -1, [0, 0, 0.0161], physicsClientId=client)
+        used.reset()
+        if number == 0 or how == "added again":
+            used.add_object(body)
+        for _ in range(240):
+            p.stepSimulation(physicsClientId=client)
+        fresh, again = attached().add_object(body).read(), used.read()
+        assert fresh.contact_mask.any()
+        np.testing.assert_array_equal(again.depth_mm, fresh.depth_mm)
+        assert not any(np.array_equal(fresh.depth_mm, one) for one in shown)
+        shown.append(fresh.depth_mm)
+        if how != "everything reset":
+            p.removeBody(body, physicsClientId=client)
+
+
+def test_a_mesh_is_not_taken_for_the_next_body_of_its_number(bullet):
+    p, client = bullet
+    sensor = Sensor("gelsight_mini")
+    sensor.attach_pybullet(bullet_pad(p, client), pose_link_gel=GEL, client_id=client)
+    for number, shape in enumerate(bullet_shapes(p)[:2]):
+        made = p.createCollisionShape(**shape, physicsClientId=client)
+        body = p.createMultiBody(0.3, made, -1, [0, 0, 0.0161], physicsClientId=client)
+        if number == 0:
+            sensor.add_object(body, trimesh.creation.icosphere(subdivisions=4, radius=6.0))
+        for _ in range(240):
+            p.stepSimulation(physicsClientId=client)
+        if number == 0:
+            assert sensor.read().status == "ok"
+            p.removeBody(body, physicsClientId=client)
+    with pytest.raises(SensorError, match="body 1 has other shapes than when its mesh was given"):
+        sensor.read()
+
+
+def test_a_soft_body_is_refused_by_name(bullet, tmp_path):
+    p, client = bullet
+    pad, file = bullet_pad(p, client), str(tmp_path / "jelly.obj")
+    trimesh.creation.icosphere(subdivisions=2, radius=1.0).export(file)
+    rigid = p.createMultiBody(
+        0.3, p.createCollisionShape(p.GEOM_SPHERE, radius=0.01, physicsClientId=client), -1,
+        [0, 0, 0.0201], physicsClientId=client,
+    )  # fmt: skip
+    sensor = Sensor("gelsight_mini").attach_pybullet(pad, pose_link_gel=GEL, client_id=client)
+    sensor.add_object(rigid)
+    p.removeBody(rigid, physicsClientId=client)
+    soft = p.loadSoftBody(
+        file, basePosition=[0, 0, 0.022], scale=0.01, mass=0.3, useMassSpring=1,
+        springElasticStiffness=40, useBendingSprings=1, collisionMargin=0.001,
+        physicsClientId=client,
+    )  # fmt: skip
+    assert soft == rigid
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=10.0)
+    for mesh in (None, ball):
+        with pytest.raises(SensorError, match="jelly.* is soft"):
+            sensor.add_object(soft, mesh)
+    with pytest.raises(SensorError, match="is soft"):
+        Sensor("gelsight_mini").attach_pybullet(soft, client_id=client)
+    for _ in range(400):
+        p.stepSimulation(physicsClientId=client)
+    with pytest.raises(SensorError, match="is soft"):
+        sensor.read()
+
+
+def test_a_flex_is_refused_by_name():
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><body name="pad"><geom type="box" size=".05 .05 .01"/></body>
+        <body name="bag" pos="0 0 .03"><flexcomp name="jelly" type="grid" dim="2"
+        count="4 4 1" spacing=".004 .004 .004" mass=".1" radius=".001"/></body>
+        </worldbody></mujoco>"""
+    )
+    sensor = Sensor("gelsight_mini")
+    sensor.attach_mujoco(model, mujoco.MjData(model), "pad", pose_body_gel=GEL)
+    for mesh in (None, trimesh.creation.box((8, 8, 1))):
+        with pytest.raises(SensorError, match="'bag' is of the flex 'jelly', which is soft"):
+            sensor.add_object("bag", mesh)
+
+
+WEDGE = """<mujoco><option timestep="0.001"/><asset>
+<mesh name="wedge" vertex="-3 -2 -4  3 -2 -4  -3 2 -4  3 2 -4  0 0 6" scale=".001 .001 .001"/>
+</asset><worldbody><body name="pad"><geom type="box" size=".05 .05 .01"/></body>
+<body name="peg" pos="0 0 .0165"><joint type="slide" axis="0 0 1"/>
+<geom name="peg" mass=".3" {shape}/></body></worldbody></mujoco>"""
+
+
+def _turned_geom(model, geom):
+    model.geom_quat[geom] = 0.6, 0.8, 0.0, 0.0
+
+
+def _other_mesh(model, geom):
+    model.mesh_vert[:] *= [0.5, 1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("shape", "change"),
+    [
+        ('type="sphere" size=".006"', lambda m, g: m.geom_size.__setitem__(g, 0.0055)),
+        ('type="box" size=".002 .004 .006"', lambda m, g: m.geom_pos.__setitem__(g, 0.0004)),
+        ('type="capsule" size=".003 .003"', _turned_geom),
+        ('type="mesh" mesh="wedge"', _other_mesh),
+    ],
+    ids=["size", "place", "turn", "mesh"],
+)
+def test_a_geom_that_is_changed_between_episodes_is_seen_as_it_is(shape, change):
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(WEDGE.format(shape=shape))
+    data, geom = mujoco.MjData(model), model.geom("peg").id
+
+    def attached(mesh=None):
+        one = Sensor("gelsight_mini").attach_mujoco(model, data, "pad", pose_body_gel=GEL)
+        return one.add_object("peg", mesh)
+
+    used, given = attached(), attached(trimesh.creation.icosphere(subdivisions=3, radius=6.0))
+    shown = []
+    for episode in range(2):
+        if episode:
+            change(model, geom)
+            mujoco.mj_resetData(model, data)
+        for _ in range(600):
+            mujoco.mj_step(model, data)
+        used.reset()
+        frame, fresh = used.read(), attached().read()
+        assert fresh.contact_mask.any()
+        np.testing.assert_array_equal(frame.depth_mm, fresh.depth_mm)
+        shown.append(fresh.depth_mm)
+        if not episode:
+            assert given.read().contact_mask.any()
+    assert not np.array_equal(*shown)
+    with pytest.raises(SensorError, match="other shapes than when its mesh was given"):
+        given.read()
+
+
+@pytest.mark.parametrize("condim", [3, 4, 6])
+@pytest.mark.parametrize(
+    ("pad", "peg"),
+    [('type="box" size=".02 .02 .01"', 'type="sphere" size=".006"'),
+     ('type="sphere" size=".01"', 'type="box" size=".004 .004 .006"')],
+    ids=["the gel's geom second", "the gel's geom first"],
+)  # fmt: skip
+def test_the_moment_of_a_contact_is_that_by_which_a_peg_is_turned(condim, pad, peg):
+    """A peg that rests on one point and does not turn: the contact balances its motor."""
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><option timestep="0.001" cone="elliptic"/><worldbody>
+        <body name="pad"><geom {pad}/></body>
+        <body name="peg" pos="0 0 .0159"><joint type="slide" axis="0 0 1"/>
+        <joint name="yaw" axis="0 0 1" damping=".05"/>
+        <geom {peg} mass=".5" condim="{condim}" friction="1 .005 .0001"/></body>
+        </worldbody><actuator><motor joint="yaw"/></actuator></mujoco>"""
+    )
+    data = mujoco.MjData(model)
+    sensor = Sensor("gelsight_mini").attach_mujoco(model, data, "pad", pose_body_gel=GEL)
+    sensor.add_object("peg")
+    for torque_n_mm in (-12.0, 0.0, 8.0):
+        data.ctrl[0] = torque_n_mm / 1e3
+        for _ in range(800):
+            mujoco.mj_step(model, data)
+        held_n_mm = torque_n_mm - 1e3 * 0.05 * data.qvel[1] if condim > 3 else 0.0
+        assert abs(held_n_mm) >= 0.4 * abs(torque_n_mm) or condim == 3
+        found = sensor._attached().contact()
+        assert found.torsion_n_mm == pytest.approx(held_n_mm, abs=0.05)
+
+
+@pytest.mark.parametrize("radius_m", [0.0005, 0.003, 0.02])
+def test_a_small_capsule_is_whole(radius_m):
+    shape = _capsule(radius_m, 2 * radius_m)
+    assert shape.is_watertight
+    assert shape.volume == pytest.approx((2 + 4 / 3) * np.pi * radius_m**3, rel=3e-4)

@@ -1,6 +1,7 @@
 """A frame's marker and force field: shapes, sums, directions, and what a sequence remembers."""
 
 import pickle
+import warnings
 
 import numpy as np
 import pytest
@@ -135,3 +136,20 @@ def test_readings_go_on_from_each_other_and_reset_forgets(monkeypatch):
     assert given[-1][0] is None
     sensor.render(BALL, np.eye(4), force_n=1.0)
     assert given[-1][0] is None  # a render is of a gel at rest
+
+
+@pytest.mark.parametrize("x_mm", [0.0, 7.0, 9.0, 11.5])
+@pytest.mark.parametrize("force_n", [0.0, 4.0])
+def test_the_part_that_is_shown_and_the_whole(x_mm, force_n):
+    """A ball in the window, at its border and beside it, on the gel."""
+    pose = np.eye(4)
+    pose[0, 3] = x_mm
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=4.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of shear where nothing presses
+        frame = tacgen.Sensor("gelsight_mini").render(ball, pose, force_n, (1.0, -0.5))
+    whole_n = np.array([1.0, -0.5, force_n]) if force_n else np.zeros(3)
+    np.testing.assert_array_equal(frame.total_force_n, whole_n)
+    np.testing.assert_allclose(frame.force_field_n.sum(axis=(0, 1)), frame.force_n, atol=1e-9)
+    share = frame.volume_mm3 / (5.135 * force_n) if force_n else 0.0
+    np.testing.assert_allclose(frame.force_n, share * whole_n, atol=1e-3)
