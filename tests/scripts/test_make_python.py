@@ -22,14 +22,18 @@ def program(path, text):
 @pytest.mark.parametrize("has_new", [True, False])
 def test_make_passes_over_a_shim_without_a_version(tmp_path, has_new):
     works = f'exec {sys.executable} "$@"'
-    program(tmp_path / "bin/python3.13", 'echo "pyenv: python3.13: command not found" >&2; exit 127')
+    program(
+        tmp_path / "bin/python3.13", 'echo "pyenv: python3.13: command not found" >&2; exit 127'
+    )
     program(tmp_path / "bin/python3.12", "exit 127")
     old = program(tmp_path / "bin/python3.11", works)
     new = tmp_path / "pyenv/versions/3.13.0/bin/python"
     if has_new:
         program(new, works)
     environment = {
-        **{name: value for name, value in os.environ.items() if name not in ("PYTHON", "MAKEFLAGS")},
+        **{
+            name: value for name, value in os.environ.items() if name not in ("PYTHON", "MAKEFLAGS")
+        },
         "PATH": f"{tmp_path / 'bin'}:{os.environ['PATH']}",
         "PYENV_ROOT": str(tmp_path / "pyenv"),
     }
