@@ -90,11 +90,14 @@ def objects_add(
     records, texts, done = [], [], list[str]()
     for number, path in enumerate(meshes, start=1):
         of = f" ({number} of {len(meshes)})" if len(meshes) > 1 else ""
+
+        def on_step(step: str, where: str = f"{path.name}{of}") -> None:
+            print_status(f"{where}: {step}")
+
         try:
             added = add_object(
                 path, mass_kg=mass_kg, scale=scale, name=name, friction=friction, up=up,
-                yaw_rad=yaw_rad, keep_pose=keep_pose, force=force,
-                on_step=lambda step, where=f"{path.name}{of}": print_status(f"{where}: {step}"),
+                yaw_rad=yaw_rad, keep_pose=keep_pose, force=force, on_step=on_step,
             )  # fmt: skip
         except ObjectError as error:
             refused.append(str(error))

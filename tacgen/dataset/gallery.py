@@ -202,21 +202,16 @@ def _in_turn(cards: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """The cards that show a contact first, then those that show less; in each of the two, objects
     and outcomes take turns.
     """
-    objects, outcomes = ({one[name]: 0 for one in cards} for name in ("object", "outcome"))
-    turns: Counter[tuple[Any, ...]] = Counter()
-    ranked = []
+    objects, outcomes = (list(dict.fromkeys(c[k] for c in cards)) for k in ("object", "outcome"))
+    turns: Counter[tuple[int, int, int]] = Counter()
+    ranks = []
     for card in cards:
-        k_object, k_outcome = (
-            list(objects).index(card["object"]),
-            list(outcomes).index(card["outcome"]),
-        )
         share = max((look.share for look in card["looks"]), default=0.0)
-        shows = (share >= VISIBLE.contact_share, share > 0)
-        group = (*shows, k_object, k_outcome)
-        rank = (k_outcome - k_object) % len(outcomes)
-        ranked.append((not shows[0], not shows[1], turns[group], rank, k_object))
-        turns[group] += 1
-    return [cards[k] for k in sorted(range(len(cards)), key=ranked.__getitem__)]
+        shows_less = (share < VISIBLE.contact_share) + (share == 0)
+        k, j = objects.index(card["object"]), outcomes.index(card["outcome"])
+        ranks.append((shows_less, turns[shows_less, k, j], (j - k) % len(outcomes), k))
+        turns[shows_less, k, j] += 1
+    return [cards[k] for k in sorted(range(len(cards)), key=ranks.__getitem__)]
 
 
 def _margins(values: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -224,7 +219,7 @@ def _margins(values: Mapping[str, Any]) -> list[tuple[str, str]]:
     found = []
     ways = (("sliding", "slides", "translational", ""), ("turning", "turns", "rotational", " mm"))
     for way, what, name, unit in ways:
-        margin = float(values[f"margin_{name}"])
+        margin = round(float(values[f"margin_{name}"]), 2) + 0.0  # no "-0.00"
         if math.isnan(margin):
             continue
         sign = "holds" if margin >= 0 else what

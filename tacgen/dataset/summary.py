@@ -171,10 +171,7 @@ def validity_lines(summary: Mapping[str, Any]) -> list[str]:
         for name in summary["blind_cameras"]
     ]
     found = summary["validity"]["grasps"]
-    for name, what in (
-        ("saturated", "press the gel through"),
-        ("no_contact", "touch one pad only"),
-    ):
+    for name, what in (("saturated", "press the gel through"), ("no_contact", "miss a pad")):
         if found[name]:
             lines.append(f"{FLAG_WORDS[name]}: {found[name]} of {found['of']} grasps {what}")
     if empty := summary["nothing_to_see"]:

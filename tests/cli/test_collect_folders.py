@@ -46,6 +46,11 @@ def test_what_another_job_claimed_is_said_only_where_there_is_some(recipe, tmp_p
     counts = json.loads(result.stdout)
     assert counts["grasps_made"] == 2
     assert "shards_claimed_by_another_job" not in counts
+    again = json.loads(run("collect", recipe, "--out", tmp_path / "out", "--json").stdout)
+    assert (again["grasps_made"], again["grasps_held"]) == (0, 2)
+    outcomes = ("successes", "failures", "not_executed")
+    assert [again[name] for name in outcomes] == [counts[name] for name in outcomes]
+    assert sum(again[name] for name in outcomes) == 2
     inspected = json.loads(run("inspect", tmp_path / "out", "--json").stdout)
     assert inspected["engine"] == "pybullet"
     assert {"recipe", "sensor", "table", "engine", "object/sugar_box"} <= set(inspected["inputs"])

@@ -18,7 +18,7 @@ from tacgen.core.errors import ObjectError
 from tacgen.core.records import Mesh
 from tacgen.core.resources import find_object_folder
 from tacgen.objects import load_object
-from tacgen.objects.add import add_object
+from tacgen.objects.add import STEPS, add_object
 from tacgen.objects.cutting import MAX_PART_VERTICES, convex_parts, cut_again
 from tacgen.objects.grasp_ranges import largest_grid, touch_error_mm, touch_errors
 from tacgen.objects.load import read_meshes
@@ -424,6 +424,8 @@ def test_adding_shows_a_picture(own_folder):
     exported(box(), "tea_box.stl")
     done = CliRunner().invoke(app, ["objects", "add", "tea_box.stl", "--mass", "0.2"])
     assert "look at objects/tea_box/picture.png" in done.stderr
+    for step in STEPS:
+        assert f"tacgen: tea_box.stl: {step}" in done.stderr
     assert (own_folder / "objects" / "tea_box" / "picture.png").stat().st_size > 10_000
 
 
