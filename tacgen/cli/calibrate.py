@@ -107,8 +107,10 @@ def calibrate_score(
     )
     common.warn([*command.warning_lines(used), *command.contrast_warning(score)])
     common.print_result(score.as_dict(), command.score_text(score), json_output)
+    given = {"--mm-per-px": mm_per_px, "--ball-radius-mm": ball_radius_mm}
+    options = "".join(f" {name} {value:g}" for name, value in given.items() if value is not None)
     common.hand_over(
-        f"tacgen diagnose optics {quoted(presses)} --table {quoted(table)} --out optics"
+        f"tacgen diagnose optics {quoted(presses)} --table {quoted(table)}{options} --out optics"
     )
 
 

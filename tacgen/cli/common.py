@@ -152,7 +152,11 @@ DomeRadiusOption = Annotated[
 ForceFlag = Annotated[bool, Option("--force", help="Replace existing results.")]
 DatasetArgument = Annotated[Path, Argument(help="Folder of a dataset that `tacgen collect` wrote.")]
 PressesArgument = Annotated[
-    Path, Argument(help="Folder of press images with presses.csv, or Taxim's dataPack.npz.")
+    Path,
+    Argument(
+        help="Folder of press images with presses.csv, or with --ball-radius-mm and --mm-per-px; "
+        "or Taxim's dataPack.npz."
+    ),
 ]
 _REAL_GRASPS = "Folder of real grasps: grasps.csv and, optionally, images/."
 RealGraspsArgument = Annotated[Path, Argument(help=_REAL_GRASPS)]

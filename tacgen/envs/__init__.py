@@ -1,7 +1,7 @@
 """Grasping and regrasping as environments of Gymnasium, and the policy that acts on touch.
 
 Importing it registers ``tacgen/Grasp-v0`` and ``tacgen/Regrasp-v0`` where Gymnasium is installed:
-``gymnasium.make("tacgen.envs:tacgen/Grasp-v0", recipe="quickstart")`` does so by itself.
+``gymnasium.make("tacgen:tacgen/Grasp-v0", recipe="quickstart")`` does so by itself.
 """
 
 from importlib import import_module
@@ -11,15 +11,19 @@ from tacgen.core.errors import LearningError
 from tacgen.core.optional_dependencies import missing_extra, require_extra
 
 __all__ = ["GraspEnv", "Normalized", "RegraspEnv"]
-_IDS = {"tacgen/Grasp-v0": "GraspEnv", "tacgen/Regrasp-v0": "RegraspEnv"}
+_IDS = {"tacgen/Grasp-v0": ("GraspEnv", 2), "tacgen/Regrasp-v0": ("RegraspEnv", 100)}
+"""Class and ``max_episode_steps``: one more than an episode can have. Gymnasium calls the step that
+reaches it truncated, also where the episode has ended, and learners would then add to its reward."""
 
 
 def _register() -> None:
     from gymnasium.envs import registration  # an extra
 
-    for name, class_name in _IDS.items():
+    for name, (class_name, steps) in _IDS.items():
         if name not in registration.registry:
-            registration.register(id=name, entry_point=f"tacgen.envs.grasping:{class_name}")
+            registration.register(
+                name, f"tacgen.envs.grasping:{class_name}", max_episode_steps=steps
+            )
 
 
 if not missing_extra("gym", ""):

@@ -10,7 +10,7 @@ import cv2
 import gymnasium
 import numpy as np
 from gymnasium import spaces
-from gymnasium.utils import RecordConstructorArgs
+from gymnasium.utils import EzPickle, RecordConstructorArgs
 from numpy.typing import NDArray
 
 from tacgen.collection.grid import AXES, PlannedGrasp
@@ -31,10 +31,11 @@ SEEN = ("rgb", "depth_mm")
 FIXED_FORCE_RANGE, FIXED_RANGE = 0.01, np.array([0.1, 0.1, 0.1, 0.001])
 """How wide an axis of actions is to which the recipe gives one value: of the force as a share,
 below it; of the others in mm and rad, above. No grasp notices, but learners divide by it."""
+MOST_REGRASPS = 98  # fewer steps than at which Gymnasium would cut an episode short
 ROUNDING = 1e-4  # of an axis, by which an action in single precision may be outside
 
 
-class TactileEnv(gymnasium.Env[Observation, Action]):
+class TactileEnv(gymnasium.Env[Observation, Action], EzPickle):
     """An object on the table, and a gripper with tactile pads.
 
     An observation is a dictionary. Of each sensing pad, such as ``left``, it has ``left_rgb``,
@@ -49,6 +50,8 @@ class TactileEnv(gymnasium.Env[Observation, Action]):
     ``label`` (−1 where it was not executed), ``failure_mode`` and, where it was,
     ``margin_translational`` and ``margin_rotational`` as in a shard. ``saturated`` and
     ``outside_window`` say of the moment of grasp whether an image does not show the whole force.
+
+    A copy, or one that is sent to another process, is made anew from the arguments: ``reset`` it.
 
     Parameters
     ----------
@@ -247,6 +250,7 @@ class GraspEnv(TactileEnv):
     """
 
     def __init__(self, recipe: Recipe | str | Path, **options: Any) -> None:
+        EzPickle.__init__(self, recipe, **options)
         super().__init__(recipe, **options)
         low, high = self.low.astype(np.float32), self.high.astype(np.float32)
         self.action_space = spaces.Box(low, high)
@@ -288,8 +292,11 @@ class RegraspEnv(TactileEnv):
         regrasp_cost: float = 0.1,
         **options: Any,
     ) -> None:
-        if not isinstance(max_regrasps, int | np.integer) or max_regrasps < 0:
-            msg = f"max_regrasps = {max_regrasps!r}; give a whole number, 0 or more"
+        own = {"max_regrasps": max_regrasps, "regrasp_cost": regrasp_cost}
+        EzPickle.__init__(self, recipe, **own, **options)
+        known = isinstance(max_regrasps, int | np.integer)
+        if not known or not 0 <= max_regrasps <= MOST_REGRASPS:
+            msg = f"max_regrasps = {max_regrasps!r}; give a whole number, 0 to {MOST_REGRASPS}"
             raise LearningError(msg)
         if (
             not isinstance(regrasp_cost, int | float | np.number)
@@ -340,6 +347,9 @@ class Normalized(
 
     The frames of a sequence become channels of one image, (H, W, 3 T). Markers and force fields
     become vectors, the latter as shares of the recipe's largest force.
+
+    Raises ``LearningError`` where an image is not larger each way than its channels are many:
+    learners take the smallest side for the channels.
     """
 
     def __init__(self, env: gymnasium.Env[Observation, Action]) -> None:
@@ -361,6 +371,14 @@ class Normalized(
                 found[name] = spaces.Box(-1.0, 1.0, space.shape)
             elif name.endswith("_rgb") and space.shape is not None and len(space.shape) == 4:
                 count, height, width, colors = space.shape
+                if count * colors >= min(height, width):
+                    msg = (
+                        f"{name}: {count} frames of {colors} colours are {count * colors} "
+                        f"channels over {height} × {width} px, of which learners take the smallest "
+                        f"for the channels; give image_px above {count * colors} each way, or a "
+                        f"recipe with frames.count at most {(min(height, width) - 1) // colors}"
+                    )
+                    raise LearningError(msg)
                 found[name] = spaces.Box(0, 255, (height, width, count * colors), np.uint8)
             elif name.endswith(VECTORS):
                 assert isinstance(space, spaces.Box)

@@ -5,7 +5,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Any, Literal
 from zipfile import BadZipFile
 
@@ -85,8 +84,8 @@ class LookupTable:
     interpolation: str = "linear"
     sensor: str = ""
     noise_grey: float = 0.0
-    effects: Mapping[str, Mapping[str, float]] = field(default_factory=lambda: MappingProxyType({}))
-    provenance: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
     response: NDArray[np.float32] | None = None
     contact: ContactLight | None = None
     model: ImageModel | None = None

@@ -15,7 +15,7 @@ from tacgen.core.arrays import FloatArray
 from tacgen.core.columns import PRESSES, similar_columns
 from tacgen.core.errors import PressError
 from tacgen.core.files import sha256_of
-from tacgen.core.safe_io import check_archive, read_rgb, rgb_of_array
+from tacgen.core.safe_io import IMAGE_SUFFIXES, check_archive, read_rgb, rgb_of_array
 from tacgen.core.yaml_source import read_yaml
 from tacgen.presses.lab_table import (
     column_problems,
@@ -59,6 +59,7 @@ class PressFolder:
     dome_radius_mm: float = 0.0  # 0 for a flat gel
     sensor: str = ""
     dot_pitch_mm: float = 0.0  # 0 where it is not known
+    sources: tuple[str, ...] = ()  # names of the background and, if there is one, of the list
 
     def numbers(self, name: str) -> FloatArray:
         """A column (N,); NaN where it is empty or absent."""
@@ -71,12 +72,13 @@ class PressFolder:
 
         Raises ``PressError`` where it cannot be read or is of another size than the background.
         """
-        path, row = self.path / self.table["file"].iloc[index], index + 2
+        path = self.path / self.table["file"].iloc[index]
         image = read_rgb(path, PressError)
         if image.shape != self.background.shape:
             (height, width, _), (rows, columns, _) = image.shape, self.background.shape
             sizes = f"{width}×{height} px, the background {columns}×{rows}"
-            msg = f"{path}: (row {row}) is {sizes}: take all at one resolution"
+            row = f"(row {index + 2}) " if "presses.csv" in self.sources else ""
+            msg = f"{path}: {row}is {sizes}: take all at one resolution"
             raise PressError(msg)
         return image
 
@@ -88,24 +90,29 @@ def read_press_folder(
     mm_per_px: float | None = None,
     ball_radius_mm: float | None = None,
 ) -> PressFolder:
-    """Read ``presses.csv``, ``background.png`` and ``sensor.yaml`` of a folder.
+    """Read the background, ``presses.csv`` and ``sensor.yaml`` of a folder.
 
     ``required`` are the columns that the list must have; ``mm_per_px`` and ``ball_radius_mm``
-    replace what the files hold.
+    replace what the files hold. Without a list every picture but the background is a press of a
+    ball of ``ball_radius_mm``. The background is ``background.png``, or ``.jpg`` or ``.jpeg``.
 
     Raises ``PressError`` that lists everything that is missing or wrong.
     """
     path, problems = Path(path), []
-    files = {
-        "background.png": "take a picture of the gel with nothing on it",
-        "presses.csv": f"list the presses in it: {', '.join(required)}",
-        "sensor.yaml": "write `mm_per_px: <size of a pixel>` into it",
+    table_path, sensor_path = path / "presses.csv", path / "sensor.yaml"
+    background_path, pictures = _pictures(path)
+    is_listed = table_path.is_file()
+    needs_list = not is_listed and (required != WITH_BALLS or ball_radius_mm is None)
+    fixes = {
+        background_path: "take a picture of the gel with nothing on it",
+        table_path: f"list the presses in it: {', '.join(required)}"
+        + ("; or give --ball-radius-mm, if all are of one ball" if required == WITH_BALLS else ""),
+        sensor_path: "write `mm_per_px: <size of a pixel>` into it, or give --mm-per-px",
     }
-    background_path, table_path, sensor_path = (path / name for name in files)
-    for name, fix in files.items():
-        needed = name != "sensor.yaml" or mm_per_px is None
-        if needed and not (path / name).is_file():
-            problems.append(f"{path / name}: missing; {fix}")
+    needed = {table_path: needs_list, sensor_path: mm_per_px is None}
+    for file, fix in fixes.items():
+        if needed.get(file, True) and not file.is_file():
+            problems.append(f"{file}: missing; {fix}")
     sensor = (mm_per_px or np.nan, 0.0, "", 0.0)
     if sensor_path.is_file():
         sensor = _read_sensor(sensor_path, mm_per_px, problems)
@@ -117,10 +124,31 @@ def read_press_folder(
             made = f"mm_per_px = {sensor[0]:g} makes the picture {wide_mm:.3g} mm wide"
             known = f"a tactile sensor sees {WIDTHS_MM[0]:g} to {WIDTHS_MM[1]:g} mm"
             problems.append(f"{sensor_path}: {made}; {known}: give the size of one pixel in mm")
-    if table_path.is_file():
+    if is_listed:
         table = _read_list(table_path, required, ball_radius_mm, problems)
+    elif not needs_list:
+        table = pd.DataFrame({"file": pictures, "radius_mm": float(ball_radius_mm or 0.0)})
+        radii = table["radius_mm"].to_numpy()[:1]
+        problems += _radius_problems(radii, table, Path("--ball-radius-mm"), True)
+        if not pictures:
+            problems.append(f"{path}: no picture beside the background; add the presses")
     PressError.raise_if(problems)
-    return PressFolder(path, table, background, *sensor)
+    sources = (background_path.name, *([table_path.name] if is_listed else []))
+    return PressFolder(path, table, background, *sensor, sources)
+
+
+def _pictures(folder: Path) -> tuple[Path, list[str]]:
+    """The background of a folder, and the names of its other pictures."""
+    files = folder.iterdir() if folder.is_dir() else ()
+    found = sorted(
+        one.name
+        for one in files
+        if one.suffix.lower() in IMAGE_SUFFIXES and not one.name.startswith(".") and one.is_file()
+    )
+    backgrounds = [name for name in found if Path(name).stem.lower() == "background"]
+    backgrounds.sort(key=lambda name: not name.lower().endswith(".png"))
+    background = folder / (backgrounds or ["background.png"])[0]
+    return background, [name for name in found if name not in backgrounds]
 
 
 def read_presses(
@@ -144,7 +172,7 @@ def read_presses(
         )
     if path.is_file():
         return _read_datapack(path, mm_per_px, ball_radius_mm)
-    fix = "give a folder with background.png, presses.csv and sensor.yaml, or a Taxim dataPack.npz"
+    fix = "give a folder of pictures with background.png, or a Taxim dataPack.npz"
     msg = f"{path}: there are no presses; {fix}"
     raise PressError(msg)
 
@@ -247,7 +275,7 @@ def _images_of(folder: PressFolder) -> PressImages:
         warnings=tuple(similar_columns(folder.table.columns, PRESSES, listing)),
         sha256={
             Path(name).name: sha256_of(folder.path / name)
-            for name in ("background.png", "presses.csv", *names)
+            for name in (*folder.sources, *names)
         },
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -186,7 +187,8 @@ class Sensor:
         else:
             self.law = ContactLaw.default() if contact is None else load_law(Path(contact))
         self.table = load_table(self.description.table)
-        self._pad = TactilePad(self.description, self.table, shadows=shadows, markers=markers)
+        self._drawn = {"shadows": shadows, "markers": markers}
+        self._pad = TactilePad(self.description, self.table, **self._drawn)
         self._rng = np.random.default_rng(np.random.SeedSequence(seed)) if noise else None
         self._simulation: EngineContacts | None = None
         self._gel = GelCourse(self.law)
@@ -198,6 +200,24 @@ class Sensor:
             msg = f"force_field = {force_field}: give the numbers of its rows and columns"
             raise SensorError(msg)
         self._field_shape = int(shape[0]), int(shape[1])
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy, or another process, makes the same sensor of; nothing in it is shared.
+
+        Raises ``SensorError`` if the sensor is attached.
+        """
+        if self._simulation is not None:
+            msg = (
+                "an attached sensor belongs to a simulation of this process and cannot be copied "
+                "or pickled; send one that is not attached, and attach it there"
+            )
+            raise SensorError(msg)
+        own = {"_gel": copy.copy(self._gel), "_rng": copy.deepcopy(self._rng)}
+        return {name: value for name, value in vars(self).items() if name != "_pad"} | own
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._pad = TactilePad(self.description, self.table, **self._drawn)
 
     @property
     def marker_rest_mm(self) -> NDArray[np.float64]:

@@ -1,5 +1,7 @@
 """The environments: what Gymnasium and its learners ask, and the same bytes as a dataset."""
 
+import copy
+import pickle
 import subprocess
 import sys
 
@@ -284,6 +286,46 @@ def test_the_module_s_name_before_the_environment_s_registers_it(tmp_path):
     )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout == "(5,) ('golf_ball',)\n"
+
+
+@pytest.mark.parametrize("first", ["", "import tacgen; "])
+def test_tacgen_s_name_registers_them_whichever_was_imported_first(first):
+    code = (
+        f"{first}import gymnasium; "
+        "from gymnasium.envs.registration import _find_spec; "
+        "names = [f'tacgen:tacgen/{name}-v0' for name in ('Grasp', 'Regrasp')]; "
+        "print([_find_spec(name).max_episode_steps for name in names])"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout == "[2, 100]\n"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [GRASP, REGRASP])
+def test_a_copy_or_a_pickled_one_shows_the_same(name):
+    more = {"max_regrasps": 5} if name == REGRASP else {}
+    env = gymnasium.make(name, recipe=small_recipe(), image_px=(40, 48), **more)
+    wanted, _ = env.reset(seed=3)
+    ways = (copy.copy, copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one)))
+    for way in ways:
+        other = way(env.unwrapped)
+        assert other.world is not env.unwrapped.world
+        shown, _ = other.reset(seed=3)
+        assert set(shown) == set(wanted)
+        for key, values in wanted.items():
+            np.testing.assert_array_equal(shown[key], values)
+        other.close()
+    env.close()
+
+
+def test_frames_that_a_learner_would_take_for_rows_are_refused():
+    recipe = small_recipe(frames={"mode": "sequence", "count": 24})
+    env = gymnasium.make(GRASP, recipe=recipe, image_px=(48, 64))
+    with pytest.raises(LearningError, match="72 channels over 48 × 64 px.*image_px above 72") as e:
+        Normalized(env)
+    assert "frames.count at most 15" in str(e.value)
+    fits = Normalized(gymnasium.make(GRASP, recipe=recipe, image_px=(73, 80)))
+    assert fits.observation_space["left_rgb"].shape == (73, 80, 72)
 
 
 def test_without_gymnasium_it_says_what_to_install():

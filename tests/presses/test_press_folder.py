@@ -52,6 +52,43 @@ def test_a_folder_is_read_as_it_was_written(tmp_path, presses):
     assert read.mm_per_px == presses.mm_per_px
 
 
+@pytest.mark.parametrize("background", ["background.png", "background.jpg", "Background.JPEG"])
+def test_a_folder_of_pictures_needs_no_list(tmp_path, presses, background):
+    folder = tmp_path / "p"
+    folder.mkdir()
+    cv2.imwrite(str(folder / background), presses.background[..., ::-1])
+    for k, image in enumerate(presses.images):
+        cv2.imwrite(str(folder / f"ball {k}.{('png', 'jpg', 'JPEG')[k % 3]}"), image[..., ::-1])
+    (folder / "notes.txt").write_text("taken in the morning")
+    (folder / "._ball 0.png").write_bytes(b"of another system")
+    read = read_presses(folder, mm_per_px=presses.mm_per_px, ball_radius_mm=3.0)
+    assert read.names == tuple(f"ball {k}.{('png', 'jpg', 'JPEG')[k % 3]}" for k in range(6))
+    assert np.array_equal(read.images[0], presses.images[0])
+    assert np.abs(read.background.astype(int) - presses.background).mean() < 3.0
+    assert set(read.ball_radius_mm) == {3.0}
+    assert np.isnan(read.center_px).all()
+    assert set(read.sha256) == {background, *read.names}
+
+
+def test_a_folder_of_pictures_asks_for_the_ball_and_the_scale(tmp_path, presses):
+    folder = write_folder(tmp_path / "p", presses, drop=("presses.csv", "sensor.yaml"))
+    with pytest.raises(PressError) as error:
+        read_presses(folder)
+    text = str(error.value)
+    assert "presses.csv: missing; list the presses in it: file, radius_mm; or give --ball" in text
+    assert "sensor.yaml: missing; write `mm_per_px: <size of a pixel>` into it, or give" in text
+    with pytest.raises(PressError, match=r"radius_mm = 4000 is not a ball's"):
+        read_presses(folder, mm_per_px=0.1, ball_radius_mm=4000)
+
+
+def test_a_folder_with_a_background_alone_has_no_presses(tmp_path, presses):
+    folder = tmp_path / "p"
+    folder.mkdir()
+    cv2.imwrite(str(folder / "background.png"), presses.background[..., ::-1])
+    with pytest.raises(PressError, match="no picture beside the background; add the presses"):
+        read_presses(folder, mm_per_px=0.1, ball_radius_mm=3.0)
+
+
 def test_a_datapack_is_bgr(tmp_path, presses):
     np.savez(
         tmp_path / "dataPack.npz",

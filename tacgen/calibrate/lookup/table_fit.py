@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import asdict, dataclass, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -89,7 +88,7 @@ def calibrate(presses: PressImages, *, processes: int | None = None) -> Calibrat
     total = TableScore(tuple(next(scores[fold]) for fold in folds.tolist()), presses.n_experiments)
     found = {name: value for name, value in total.as_dict().items() if name != "images"}
     provenance = {**table.provenance, "heldout": found, "scale": scale.as_dict()}
-    table = replace(table, provenance=MappingProxyType(provenance))
+    table = replace(table, provenance=provenance)
     tables = tuple(fold_table for fold_table, _ in parts)
     return Calibration(prepared, table, fit, choice, total, scale, tables, folds)
 
@@ -164,7 +163,7 @@ def _tabulate(prepared: PreparedPresses, fit: JointFit, choice: Choice) -> Looku
         max_slope_rad=float(steepest),
         sensor=presses.sensor,
         noise_grey=camera_noise_grey(presses),
-        provenance=MappingProxyType(provenance),
+        provenance=provenance,
     )
 
 

@@ -8,7 +8,6 @@ sector is halved here. Its features are raw pixels, its channels BGR.
 
 import math
 from pathlib import Path
-from types import MappingProxyType
 from zipfile import BadZipFile
 
 import numpy as np
@@ -54,12 +53,10 @@ def import_polycalib(path: Path, background: Path, mm_per_px: float) -> LookupTa
         max_slope_rad=math.pi / 2,
         interpolation="floor",
         sensor="taxim",
-        provenance=MappingProxyType(
-            {
-                "made_by": f"tacgen {__version__} calibrate import",
-                "data_sha256": {file.name: sha256_of(file) for file in (path, background)},
-            }
-        ),
+        provenance={
+            "made_by": f"tacgen {__version__} calibrate import",
+            "data_sha256": {file.name: sha256_of(file) for file in (path, background)},
+        },
     )
 
 

@@ -1,7 +1,8 @@
 """Export to robomimic's HDF5: one demonstration a grasp, for imitation learning.
 
-``data/demo_<k>/{obs/<name>, actions, rewards, dones}``, each (T, …), with ``num_samples``. The
-masks ``mask/{train, valid, test}`` list the demonstrations that succeeded, ``mask/{train_failed,
+``data/demo_<k>/{obs/<name>, next_obs/<name>, actions, rewards, dones}`` with ``num_samples``:
+rewards and dones (T,), the others (T, D), images (T, H, W, 3). ``next_obs`` are views into ``obs``
+of the same file, the last frame's its own: they take no room. The masks ``mask/{train, valid, test}`` list the demonstrations that succeeded, ``mask/{train_failed,
 valid_failed, test_failed}`` those that did not: what is imitated should have worked. ``valid`` is a
 tenth of the recipe's training side: what is chosen by it is not chosen on the test grasps.
 
@@ -14,10 +15,12 @@ import json
 import math
 import zlib
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from tacgen.core.arrays import FloatArray
 from tacgen.core.disk import DiskFile
@@ -25,7 +28,7 @@ from tacgen.core.records import LABEL_SUCCESS
 from tacgen.dataset.export import camera_arrays, camera_facts
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample
-from tacgen.dataset.schema import ACTION, Layout
+from tacgen.dataset.schema import ACTION, Field, Layout
 
 FILE = "grasps.hdf5"
 VALID_FRACTION = 0.1  # of the training grasps of each outcome, rounded up; never all of them
@@ -48,12 +51,8 @@ def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
             demo, sample = data.create_group(name.decode()), dataset.read(int(index))
             _write_demo(demo, sample, dataset.layout, action)
             for camera, field, values in camera_arrays(dataset, sample):
-                # As of pads: what is of the moment of grasp stands beside the observations.
-                place = f"camera_{camera}_{field.name}"
-                options = {"chunks": (1, *values.shape[1:]), "compression": "gzip"}
-                is_observed = field.is_of_frames
-                place = f"obs/{place}" if is_observed else place
-                demo.create_dataset(place, data=values, **(options if is_observed else {}))
+                _write_array(demo, f"camera_{camera}_{field.name}", field, values)
+            write_next(demo)
             disk.raise_failure()
         data.attrs["total"] = len(grasps) * dataset.n_frames
         for pad in dataset.pads:
@@ -104,9 +103,27 @@ def _write_demo(demo: h5py.Group, sample: GraspSample, layout: Layout, action: F
         options = {"chunks": (1, *frames.rgb.shape[1:]), "compression": "gzip"}
         observed.create_dataset(f"{pad}_rgb", data=frames.rgb, **options)
         for field in layout.of_pads:
-            if (values := field.value(frames)) is None:
-                continue
-            # What is of the moment of grasp is not one a frame, and stands beside the observations.
-            place = f"obs/{pad}_{field.name}" if field.is_of_frames else f"{field.name}/{pad}"
-            how = {"chunks": (1, *values.shape[1:]), "compression": "gzip"} if field.image else {}
-            demo.create_dataset(place, data=values, **(how if field.is_of_frames else {}))
+            if (values := field.value(frames)) is not None:
+                name = f"{pad}_{field.name}" if field.is_of_frames else f"{field.name}/{pad}"
+                _write_array(demo, name, field, values)
+
+
+def _write_array(demo: h5py.Group, name: str, field: Field, values: NDArray[Any]) -> None:
+    """An observation, or beside them what is of the moment of grasp and not one a frame."""
+    if not field.is_of_frames:
+        demo.create_dataset(name, data=values)
+        return
+    how = {"chunks": (1, *values.shape[1:]), "compression": "gzip"} if field.image else {}
+    values = values.reshape(len(values), *(values.shape[1:] or (1,)))
+    demo.create_dataset(f"obs/{name}", data=values, **how)
+
+
+def write_next(demo: h5py.Group) -> None:
+    """What is observed a frame later, as views into the demonstration's ``obs``."""
+    for name, observed in demo["obs"].items():
+        layout = h5py.VirtualLayout(observed.shape, observed.dtype)
+        source = h5py.VirtualSource(".", observed.name, observed.shape, observed.dtype)
+        if len(observed) > 1:
+            layout[:-1] = source[1:]
+        layout[-1:] = source[-1:]
+        demo.create_virtual_dataset(f"next_obs/{name}", layout)

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import asdict, dataclass, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -388,9 +387,9 @@ def _extended(table: LookupTable, found: Model, noise_grey: float) -> LookupTabl
     provenance = {**table.provenance, "diagnosed_by": f"tacgen {__version__} diagnose optics"}
     return replace(
         table,
-        effects=MappingProxyType(effects),
+        effects=effects,
         noise_grey=noise_grey,
-        provenance=MappingProxyType(provenance),
+        provenance=provenance,
     )
 
 
