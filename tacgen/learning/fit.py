@@ -23,6 +23,7 @@ from tacgen.learning.inputs import InputSpec
 from tacgen.learning.loader import Batches
 from tacgen.learning.networks import StabilityNet, build_network, build_optimizer, build_scheduler
 from tacgen.learning.predictions import (
+    calibrated,
     calibrated_temperature,
     input_statistics,
     predict,
@@ -90,6 +91,7 @@ class TrainingState:
         balance = torch.tensor(job.class_weights, dtype=torch.float32, device=device)
         self.criterion = nn.CrossEntropyLoss(weight=balance)
         self.epoch = 0
+        self._temperature = 1.0
         self.best: dict[str, Any] = {"epoch": 0, "recent": 0.0}
         if resumes:
             self._resume()
@@ -129,12 +131,15 @@ class TrainingState:
         loss = float(log_loss(labels, probabilities, sample_weight=weights, labels=[0, 1]))
         self.scheduler.step(loss)
         scores = score(labels, probabilities)
+        self._temperature = self._fitted_temperature()
+        likely = calibrated(probabilities, self._temperature, self._prior_logit)
         return {
             "epoch": epoch,
             "train_loss": train_loss,
             "train_accuracy": train_accuracy,
             "validation_loss": loss,
-            "validation_accuracy": scores["accuracy"],
+            # Of the calibrated model, which is what is kept and evaluated.
+            "validation_accuracy": float(((likely >= 0) == labels).mean()),
             "validation_balanced_accuracy": scores["balanced_accuracy"],
             "backbone_rate": rates[0],
             "learning_rate": rates[1],
@@ -187,7 +192,7 @@ class TrainingState:
     def _kept(self) -> StabilityNet:
         return cast(StabilityNet, self.average.module)
 
-    def _temperature(self) -> float:
+    def _fitted_temperature(self) -> float:
         """Temperature on the validation grasps, as other cameras see them where there is such."""
         changes, batches = self.job.recipe.augmentation, self.job.validation
         passes = range(CALIBRATION_PASSES if changes.on else 1)
@@ -219,7 +224,7 @@ class TrainingState:
             weights=self.network.backbone.origin,
             epoch=self.epoch,
             recipe_sha256=self.job.recipe.sha256(),
-            temperature=self._temperature(),
+            temperature=self._temperature,
             input_range=tuple(zip(found.min(0).tolist(), found.max(0).tolist(), strict=True)),
             contrast=typical_contrast(found),
             prior_logit=self._prior_logit,

@@ -86,6 +86,14 @@ def notes_on_images(statistics: NDArray[np.float64], card: ModelCard) -> list[st
     return notes
 
 
+def calibrated(
+    probabilities: NDArray[np.float64], temperature: float, prior_logit: float
+) -> NDArray[np.float64]:
+    """Log odds (N,) of success of the calibrated model; the arguments are those of the next."""
+    logit = special.logit(np.clip(probabilities, MIN_PROBABILITY, 1 - MIN_PROBABILITY))
+    return np.asarray(logit / temperature + prior_logit)
+
+
 def calibrated_temperature(
     probabilities: NDArray[np.float64], labels: NDArray[np.int64], prior_logit: float = 0.0
 ) -> float:
@@ -95,12 +103,11 @@ def calibrated_temperature(
     ``prior_logit`` the log odds of success among the grasps. Source: Guo et al. 2017, *On
     Calibration of Modern Neural Networks*, arXiv 1706.04599, section 4.2.
     """
-    logit = special.logit(np.clip(probabilities, MIN_PROBABILITY, 1 - MIN_PROBABILITY))
     sign = np.where(labels == 1, 1, -1)
 
     def loss(log_temperature: float) -> float:
-        calibrated = logit / np.exp(log_temperature) + prior_logit
-        return float(np.logaddexp(0, -sign * calibrated).mean())
+        logit = calibrated(probabilities, float(np.exp(log_temperature)), prior_logit)
+        return float(np.logaddexp(0, -sign * logit).mean())
 
     bounds = tuple(np.log(TEMPERATURE_RANGE))
     return float(np.exp(optimize.minimize_scalar(loss, bounds=bounds, method="bounded").x))

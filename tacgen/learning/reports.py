@@ -30,7 +30,7 @@ def write_training_report(
     """Curves, scores on the validation grasps, and what the model started from."""
     validation = result["validation"]
     summary = (
-        f"Validation accuracy {validation['accuracy']:.3f} at epoch {result['best_epoch']} "
+        f"Validation accuracy {validation['accuracy']:.3f} at epoch {result['best_epoch']}, kept "
         f"(n = {validation['n']}). {recipe.description}".strip()
     )
     write_page(
@@ -41,6 +41,7 @@ def write_training_report(
         made_by="train",
         recipe=recipe,
         result=result,
+        lowest_loss_epoch=min(metrics, key=lambda line: line["validation_loss"])["epoch"],
         curves=plots.training_curves(metrics, result["best_epoch"]),
         confusion=plots.confusion(np.asarray(validation["confusion"]), CLASS_NAMES, CLASS_NAMES),
         score_header=SCORE_HEADER,

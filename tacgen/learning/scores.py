@@ -92,7 +92,7 @@ def training_lines(summary: Mapping[str, Any]) -> Iterator[str]:
     for name, model in summary["models"].items():
         scores = model["validation"]
         yield (
-            f"{name}: best epoch {model['best_epoch']} of {model['epochs']}, validation accuracy "
+            f"{name}: kept epoch {model['best_epoch']} of {model['epochs']}, validation accuracy "
             f"{scores['accuracy']:.3f} (balanced {scores['balanced_accuracy']:.3f}, "
             f"n = {scores['n']}), {model['epoch_s']:.1f} s an epoch"
         )

@@ -215,7 +215,7 @@ def train_one(
         }
         write_training_report(folder.report_path, recipe, plan.name, metrics, result)
     print_status(
-        f"{plan.name}: best epoch {card.epoch} of {epochs}, validation accuracy "
+        f"{plan.name}: kept epoch {card.epoch} of {epochs}, validation accuracy "
         f"{scores['accuracy']:.3f} on {len(labels)} grasps"
     )
     return result

@@ -135,6 +135,8 @@ class PressLog:
     warnings: tuple[str, ...] = ()  # what the reader of any result should know about this log
     session_clock: bool = True  # whether time_s runs on from trial to trial: drift has a meaning
     sha256: str = ""  # of the file's bytes
+    volume_stderr_share: float = 0.0  # relative standard error that all volumes share
+    marker_pitch_mm: float = math.nan  # of the markers whose motion is summed
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -181,7 +183,7 @@ def read_press_log(
 ) -> PressLog:
     """Read and check a press log: CSV, or Parquet by its suffix (``.parquet``, ``.pq``).
 
-    A log with ``depth_mm`` and no ``volume_mm3`` is one of a ball, of ``radius_mm`` or the column
+    Presses with ``depth_mm`` and no ``volume_mm3`` are of a ball, of ``radius_mm`` or the column
     of that name: the volume is the ball's below the gel's surface at rest. Rows of presses that
     are not in the order of their time are sorted.
 
@@ -221,13 +223,12 @@ def press_log_of(table: LogTable, *, radius_mm: float | None = None) -> PressLog
     notes = [*table.notes, *table.unclear, *spikes, *([f"{path}: {moved}"] if moved else [])]
     if "time_s" in table.headers and "time_s" not in table.sure:
         notes += _check_clock_unit(table, columns)
-    of_depths, is_known = "volume_mm3" not in columns, True
-    if of_depths:
-        columns, is_known = _with_ball_volumes(columns, radius_mm)
-    rows = table.rows[order]
-    if is_known and of_depths:
-        _check_ball(columns, path)
-        notes.append(f"{path}: no volume_mm3: volumes are those of the ball at depth_mm")
+    of_depths, rows = "volume_mm3" not in columns, table.rows[order]
+    columns, is_known, filled = _with_ball_volumes(columns, radius_mm)
+    if is_known and filled.any():
+        _check_ball({name: values[filled] for name, values in columns.items()}, path)
+        of = "" if filled.all() else f" in {len(np.unique(columns['trial'][filled]))} presses"
+        notes.append(f"{path}: no volume_mm3{of}: volumes are those of the ball at depth_mm")
     peak, compliance = typical_load(columns)
     notes += compliance_doubts(compliance if is_known else math.nan, peak, table)
     log = _checked(columns, path, rows, "depth_mm" if of_depths else "volume_mm3")
@@ -288,19 +289,24 @@ def _with_presses(table: LogTable) -> LogTable:
 
 def _with_ball_volumes(
     columns: dict[str, NDArray[Any]], radius_mm: float | None
-) -> tuple[dict[str, NDArray[Any]], bool]:
-    """Columns with radius and volume (N,) of a ball at ``depth_mm``, and whether it is known.
+) -> tuple[dict[str, NDArray[Any]], bool, BoolArray]:
+    """Columns with the volume of a ball at ``depth_mm`` in presses that have no volume.
 
-    Negative depths are no contact. The volume of an unknown ball is that of one of 1 mm.
+    Whether its radius is known, else the volume is that of one of 1 mm; and the rows (N,) that
+    were filled. ``radius_mm`` goes before the column. Negative depths are no contact.
     """
-    depth = columns["depth_mm"]
-    radius = columns.get("radius_mm", np.full(len(depth), np.nan))
+    trial, nothing = columns["trial"], np.full(len(columns["trial"]), np.nan)
+    volume, depth = columns.get("volume_mm3", nothing), columns.get("depth_mm", nothing)
+    filled = ~np.isin(trial, trial[np.isfinite(volume)]) & np.isin(trial, trial[np.isfinite(depth)])
+    if not filled.any():
+        return columns, True, filled
+    radius = columns.get("radius_mm", nothing)
     if radius_mm is not None:
-        radius = np.full(len(depth), radius_mm)
-    is_known = bool((radius[np.isfinite(depth)] > 0).all())
-    if is_known:
-        return {**columns, "radius_mm": radius, "volume_mm3": ball_volume_mm3(depth, radius)}, True
-    return {**columns, "volume_mm3": ball_volume_mm3(depth, np.ones(len(depth)))}, False
+        radius = np.full(len(trial), radius_mm)
+    is_known = bool((radius[filled & np.isfinite(depth)] > 0).all())
+    ball = ball_volume_mm3(depth, radius if is_known else 1.0)
+    columns = {**columns, "volume_mm3": np.where(filled, ball, volume)}
+    return columns | ({"radius_mm": radius} if is_known else {}), is_known, filled
 
 
 def _check_ball(columns: Columns, path: Path) -> None:

@@ -274,7 +274,7 @@ def training_curves(metrics: Sequence[Mapping[str, Any]], best_epoch: int) -> Fi
         for name, color in zip(names, GROUP_COLORS, strict=False):
             values = [line[name] for line in metrics]
             axes.plot(epochs, values, ".-", ms=5, color=color, label=name.replace("_", " "))
-        axes.axvline(best_epoch, color=MUTED, lw=0.8, ls=":", label="best epoch")
+        axes.axvline(best_epoch, color=MUTED, lw=0.8, ls=":", label="epoch kept")
         axes.set(xlabel="epoch", title=title)
         axes.legend(frameon=False, fontsize=8)
     grid[0, 1].set_ylim(-0.02, 1.02)

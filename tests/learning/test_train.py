@@ -78,6 +78,13 @@ def test_the_network_learns_what_can_be_seen(trained):
     assert lines[0]["backbone_rate"] == pytest.approx(0.8 * lines[0]["learning_rate"])
 
 
+def test_the_headline_is_a_point_of_the_curve(trained):
+    """Accuracy by train.json, which the page and the terminal print, and by the kept epoch."""
+    kept = json.loads((trained / "train.json").read_text())["models"]["pooled"]
+    lines = {line["epoch"]: line for line in metrics_of(trained)}
+    assert kept["validation"]["accuracy"] == lines[kept["best_epoch"]]["validation_accuracy"]
+
+
 @pytest.mark.parametrize(
     ("balanced_accuracies", "best"),
     [

@@ -315,9 +315,7 @@ def test_both_commands_read_one_log(tmp_path, case):
     found = calibrate_contact(path, tmp_path / "law.yaml", radius_mm=RADIUS_MM)
     k_n = found.law.k_n_mm3_per_n
     assert abs(k_n.value - K_N) < max(3 * k_n.stderr, 0.01 * K_N)
-    log, _ = read_contact_log(
-        path, LogFormat(), radius_mm=RADIUS_MM, save_log=tmp_path / "unused.csv"
-    )
+    log = read_contact_log(path, LogFormat(), radius_mm=RADIUS_MM, save_log=tmp_path / "unused.csv")
     assert len(log) == len(presses())
 
 

@@ -3,6 +3,7 @@
 ``summary_dict`` is all of it as data, ``summary_text`` for a terminal.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -10,13 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.special import fdtrc
 
-from tacgen.calibrate.contact.contact_point import (
-    ContactPoint,
-    begins_elsewhere,
-    free_contact_points,
-)
-from tacgen.calibrate.contact.identifiability import limits_of
-from tacgen.calibrate.contact.rest_zero import without_zero
+from tacgen.calibrate.contact.align import ContactPoint, align, limits_of, without_zero
 from tacgen.calibrate.contact.slope_fit import SlopeFit, fit_slope
 from tacgen.contact.law import PLAIN_UNITS, ContactLaw
 from tacgen.core.arrays import FloatArray, IntArray
@@ -27,7 +22,7 @@ from tacgen.presses.press_log import SHEAR_FORCES, SHEAR_MOTIONS, PressLog
 from tacgen.report.formatting import p_value, percent, unit_text
 from tacgen.report.page import templates
 
-MIN_TRIALS = 3  # two presses give no scatter to tell an outlier by
+MIN_TRIALS = 3  # two presses give no scatter to tell an outlier by; a depth's course also tells
 DISAGREEMENT_P = 0.01  # Welch's p below which groups that differ are a warning
 STRUCTURE_FACTOR = 1.5  # held-out errors this many times a sample's own noise are no noise
 
@@ -52,7 +47,10 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """Error on held-out trials, by number too; ``nrmse`` is per RMS of what was measured."""
+    """Error on held-out trials, by number too; ``nrmse`` is per RMS of what was measured.
+
+    Both are of one component, so that shear's are of one axis, as in a diagnosis.
+    """
 
     rmse: float
     nrmse: float
@@ -83,7 +81,6 @@ class ContactFit:
     normal: ChannelFit
     shear: ChannelFit | None
     contact_points: tuple[ContactPoint, ...]
-    marker_pitch_mm: float
     warnings: tuple[str, ...] = ()
 
     @property
@@ -97,7 +94,7 @@ class ContactFit:
             "volume_linear",
             estimates["normal"],
             estimates["shear"],
-            self.marker_pitch_mm,
+            self.log.marker_pitch_mm,
             provenance=_provenance(self),
         )
 
@@ -112,21 +109,18 @@ def fit_contact(
     *,
     by: str | None = None,
     free_contact_point: bool | None = None,
-    marker_pitch_mm: float = np.nan,
 ) -> ContactFit:
     """Fit V = k_n F_n and D = k_s F_s to a press log.
 
     ``by`` is ``trial`` or a column whose values are compared with each other; by default
-    ``indenter`` where there are several, else the first text covariate that splits the trials. With
-    ``free_contact_point`` the contact point of every trial is estimated; by default only where the
-    volume was computed from the depth of known balls and shows that it does not start at the logged
-    zero. Otherwise what gauge and gel read at rest is subtracted (``rest_zero``).
-    ``marker_pitch_mm`` is that of the markers whose motion was summed. Raises ``PressError`` with
-    fewer than three presses, an unknown column, or a response that does not grow with the load.
+    ``indenter`` where there are several, else the first text covariate that splits the trials.
+    ``free_contact_point`` is as for ``align``; where no contact points are fitted, what gauge and
+    gel read at rest is subtracted. Raises ``PressError`` with fewer than three presses, unless they
+    have depths, an unknown column, or a response that does not grow with the load.
 
     Source: Si et al. 2022, arXiv 2208.02885, Eq. 1.
     """
-    if len(log.trials) < MIN_TRIALS:
+    if len(log.trials) < MIN_TRIALS and "depth_mm" not in log:
         left_out = [str(trial) for trial in log.dropped]
         msg = (
             f"{log.path}: {len(log.trials)} usable presses, fewer than {MIN_TRIALS}: no "
@@ -134,13 +128,9 @@ def fit_contact(
             "`trial`"
         )
         raise PressError.from_problems([msg, *left_out])
-    if free_contact_point is None:
-        free_contact_point = "depth_mm" in log and "radius_mm" in log and begins_elsewhere(log)
-    points: tuple[ContactPoint, ...] = ()
-    if not free_contact_point:
+    log, points = align(log, free_contact_point=free_contact_point)
+    if len(points) < len(log.trials):
         log = without_zero(log)
-    else:
-        log, points = free_contact_points(log)
     by = _grouping(log, by)
     normal = fit_channel(log, "normal", by, points)
     sheared = log.with_shear() if log.has_shear else None
@@ -151,7 +141,7 @@ def fit_contact(
         and all(np.abs(values).max() > 0 for values in channel_arrays(sheared, "shear"))
     ):
         shear = fit_channel(sheared, "shear", by)
-    fit = ContactFit(log, normal, shear, points, marker_pitch_mm)
+    fit = ContactFit(log, normal, shear, points)
     return replace(fit, warnings=_warnings(fit))
 
 
@@ -164,7 +154,8 @@ def fit_channel(
     """
     load, response = channel_arrays(log, channel)
     trial = log["trial"]
-    pooled = fit_slope(load, response, trial)
+    share = log.volume_stderr_share if channel == "normal" else 0.0
+    pooled = _with_contact_point(linear_slope(load, response, trial, share), trial[0], points)
     if not pooled.value > 0:
         unit = unit_text(PLAIN_UNITS[channel][1])
         msg = (
@@ -177,12 +168,9 @@ def fit_channel(
     for name in np.unique(log[by]):
         rows = log[by] == name
         if rows.sum() > 1 and np.abs(load[rows]).max() > 0:
-            group = _fit_group(load[rows], response[rows], trial[rows])
-            if group.n_trials == 1:
-                least = max(
-                    (p.k_stderr_share for p in points if p.trial == trial[rows][0]), default=0
-                )
-                group = replace(group, stderr=max(group.stderr, least * group.value))
+            group = _with_contact_point(
+                linear_slope(load[rows], response[rows], trial[rows]), trial[rows][0], points
+            )
             groups[str(name)] = group
     return ChannelFit(
         channel,
@@ -226,34 +214,55 @@ def agreement_of(groups: Mapping[str, SlopeFit], pooled: float) -> Agreement | N
     return Agreement(p, float(np.ptp(k) / pooled))
 
 
-def _fit_group(load: FloatArray, response: FloatArray, trial: IntArray) -> SlopeFit:
-    """A group of one trial is cut into blocks of equal load, whose scatter gives its error."""
+def _with_contact_point(fit: SlopeFit, trial: int, points: Sequence[ContactPoint]) -> SlopeFit:
+    """The fit with the error that the contact point of a single trial puts on it."""
+    least = max((p.k_stderr_share for p in points if p.trial == trial), default=0.0)
+    return replace(fit, stderr=max(fit.stderr, least * fit.value)) if fit.n_trials == 1 else fit
+
+
+def linear_slope(
+    load: FloatArray, response: FloatArray, trial: IntArray, volume_stderr_share: float = 0.0
+) -> SlopeFit:
+    """The compliance without effects: k_n or k_s, with its error, of every command and page.
+
+    ``volume_stderr_share`` is an error of all volumes alike, which presses' scatter does not show.
+    """
+    parts = _parts(load, trial)
+    fit = fit_slope(load, response, parts)
+    if parts is not trial:
+        fit = replace(fit, n_trials=1, outlying_trials=())
+    return replace(fit, stderr=math.hypot(fit.stderr, volume_stderr_share * fit.value))
+
+
+def _parts(load: FloatArray, trial: IntArray) -> IntArray:
+    """Trials (N,), or of a single one blocks of equal load, whose scatter gives its error."""
     if len(np.unique(trial)) > 1:
-        return fit_slope(load, response, trial)
+        return trial
     power = np.cumsum((load**2).sum(axis=1))
-    blocks = np.minimum(power * BLOCKS_OF_A_TRIAL // power[-1], BLOCKS_OF_A_TRIAL - 1).astype(int)
-    return replace(fit_slope(load, response, blocks), n_trials=1, outlying_trials=())
+    blocks = np.minimum(power * BLOCKS_OF_A_TRIAL // power[-1], BLOCKS_OF_A_TRIAL - 1)
+    return np.asarray(blocks, dtype=np.int64)
 
 
 def _held_out(load: FloatArray, response: FloatArray, trial: IntArray, unit: str) -> HeldOut:
-    """Every trial predicted by a fit to the other folds' trials."""
-    numbers, first, index = np.unique(trial, return_index=True, return_inverse=True)
+    """Every trial, or part of a single one, predicted by a fit to the other folds'."""
+    parts = _parts(load, trial)
+    numbers, first, index = np.unique(parts, return_index=True, return_inverse=True)
     folds = min(len(numbers), MAX_FOLDS)
     fold = np.argsort(np.argsort(first))[index] % folds  # in the order of pressing
     error = np.empty_like(response)
     for k_th in range(folds):
         out = fold == k_th
-        k = fit_slope(load[~out], response[~out], trial[~out]).value
+        k = fit_slope(load[~out], response[~out], parts[~out]).value
         error[out] = response[out] - k * load[out]
-    squared = (error**2).sum(axis=1)
-    by_trial = {str(n): float(np.sqrt(squared[trial == n].mean())) for n in numbers}
+    squared = (error**2).mean(axis=1)
+    by_trial = {str(n): float(np.sqrt(squared[trial == n].mean())) for n in np.unique(trial)}
     rmse = float(np.sqrt(squared.mean()))
-    size = float(np.sqrt((response**2).sum(axis=1).mean()))
+    size = float(np.sqrt((response**2).mean()))
     return HeldOut(rmse, rmse / size, unit, folds, by_trial)
 
 
 def _own_noise(residual: FloatArray, trial: IntArray) -> float:
-    """Robust noise of a sample, all components: second differences know no slow course."""
+    """Robust noise of a sample, of one component: second differences know no slow course."""
     bends = residual[:-2] - 2.0 * residual[1:-1] + residual[2:]
     _, index, counts = np.unique(trial, return_inverse=True, return_counts=True)
     long = counts[index] >= MIN_SAMPLES_FOR_NOISE
@@ -261,7 +270,7 @@ def _own_noise(residual: FloatArray, trial: IntArray) -> float:
     if not len(bends):
         return float("nan")
     by_component = 1.4826 * np.median(np.abs(bends), axis=0) / np.sqrt(6.0)
-    return float(np.sqrt((by_component**2).sum()))
+    return float(np.sqrt((by_component**2).mean()))
 
 
 def _grouping(log: PressLog, by: str | None) -> str:

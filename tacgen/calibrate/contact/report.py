@@ -1,14 +1,12 @@
-"""The pages of a contact calibration: of a press log, and of force–depth curves."""
+"""The page of a contact calibration."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from tacgen.calibrate.contact.depth_curves import DepthCurve, DepthReport, depth_text
 from tacgen.calibrate.contact.law_fit import (
     SYMBOLS,
     ContactFit,
@@ -83,41 +81,3 @@ def _figures(name: str, channel: Mapping[str, Any], log: PressLog) -> dict[str, 
         "groups": plots.intervals(halves, pooled, f"{symbol}, {unit_text(channel['unit'])}"),
         "held_out": plots.columns(held["by_trial"], held["rmse"], ("press", f"RMSE, {unit}")),
     }
-
-
-def write_depth_page(
-    report: DepthReport, curves: Sequence[DepthCurve], warnings: Sequence[str], folder: Path
-) -> Path:
-    """Write ``index.html`` of force–depth curves into ``folder``; it needs no network."""
-    result = asdict(report)
-    path = Path(folder) / "index.html"
-    verdict = depth_text(result).splitlines()[-1].strip()
-    write_page(
-        path,
-        "Force–depth curves",
-        summary=f"{verdict[0].upper()}{verdict[1:]}.",
-        template="depth_curves.html",
-        made_by="calibrate contact",
-        result=result,
-        curves=_depth_figure(report, curves),
-        warnings=[text.partition(": ")[2] for text in warnings],
-    )
-    return path
-
-
-def _depth_figure(report: DepthReport, curves: Sequence[DepthCurve]) -> Figure:
-    figure, grid = plots.new_figure(10.5, 3.6 * len(curves), len(curves), 2)
-    for (left, right), curve in zip(grid, curves, strict=True):
-        fit = report.curves[curve.name]
-        left.plot(curve.depth_mm, curve.force_n, ".", color=plots.INK, ms=4, label="measured")
-        fine = np.linspace(0.0, curve.depth_mm.max(), 200)
-        label = f"R = {fit.radius_mm:.3g} mm, k_n = {fit.k_n:.3g} mm³/N"
-        fitted = fit.force_n(fine, report.reference_n)
-        left.plot(fine, fitted, color=plots.ACCENT, lw=1.2, label=label)
-        left.set(title=curve.name, ylabel="force, N", xlabel="depth, mm")
-        left.legend(frameon=False, fontsize=8)
-        residual = curve.force_n - fit.force_n(curve.depth_mm, report.reference_n)
-        right.plot(curve.depth_mm, residual, ".", color=plots.BAD, ms=4)
-        right.axhline(0.0, color=plots.INK, lw=1.0)
-        right.set(ylabel="measured − fitted, N", xlabel="depth, mm")
-    return figure

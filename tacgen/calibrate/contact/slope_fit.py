@@ -88,7 +88,7 @@ def fit_slope(load: FloatArray, response: FloatArray, trial: IntArray) -> SlopeF
     load, response = (np.asarray(v, np.float64).reshape(len(trial), -1) for v in (load, response))
     numbers, cluster = np.unique(trial, return_inverse=True)
     n_trials = len(numbers)
-    x, z, y = load.ravel(), _instrument(load, trial).ravel(), response.ravel()
+    x, z, y = load.ravel(), neighbours(load, trial).ravel(), response.ravel()
     groups = np.repeat(cluster, load.shape[1])
     loaded = np.abs(x) >= LOADED_SHARE * np.abs(x).max()
 
@@ -117,7 +117,7 @@ def fit_slope(load: FloatArray, response: FloatArray, trial: IntArray) -> SlopeF
     )
 
 
-def _instrument(load: FloatArray, trial: IntArray) -> FloatArray:
+def neighbours(load: FloatArray, trial: IntArray) -> FloatArray:
     """The mean load of the samples two before and two after (one, in short presses).
 
     Where there are no neighbours, or they are uncorrelated with the load (a force that jumps at
@@ -129,9 +129,9 @@ def _instrument(load: FloatArray, trial: IntArray) -> FloatArray:
     lag = np.select([length >= 20, length >= 3], [2, 1], 0)
     before = np.where(index - lag >= start, index - lag, index + lag)
     after = np.where(index + lag < start + length, index + lag, index - lag)
-    neighbours = 0.5 * (load[before] + load[after])
-    relevant = (neighbours * load).sum() > MIN_RELEVANCE * (load**2).sum()
-    return neighbours if relevant else load
+    mean = 0.5 * (load[before] + load[after])
+    relevant = (mean * load).sum() > MIN_RELEVANCE * (load**2).sum()
+    return mean if relevant else load
 
 
 def _solve_robustly(

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from tacgen.calibrate.contact.align import align, without_zero
 from tacgen.calibrate.contact.command import read_contact_log
+from tacgen.calibrate.contact.law_fit import linear_slope
 from tacgen.calibrate.contact.marker_fit import load_tracks
-from tacgen.calibrate.contact.rest_zero import without_zero
 from tacgen.contact.effects import CHANNELS, Channel
-from tacgen.contact.law import PLAIN_UNITS, ContactLaw, FittedEffect, save_law
+from tacgen.contact.law import ContactLaw, FittedEffect, save_law
 from tacgen.core.errors import PressError
 from tacgen.core.files import refuse_other_page, write_text
 from tacgen.core.records import Estimate
@@ -33,6 +34,7 @@ from tacgen.presses.lab_table import LogFormat
 from tacgen.presses.press_log import PLAIN, SHEAR_FORCES, Columns
 
 SEED = 20220804  # any; results are repeatable
+FORCES: dict[Channel, tuple[str, ...]] = {"normal": ("force_normal_n",), "shear": SHEAR_FORCES}
 MIN_SAMPLES = 4  # of a trial: what two second differences need
 REFIT_ROWS_PER_TRIAL = 1000  # in the last fit: software smooths samples, not means
 MOST_DRAWS = 20  # of test trials, where few trials have load
@@ -61,13 +63,25 @@ def diagnose_log(
 
     for page in ("report.html", "grasp.html"):
         refuse_other_page(out / page, "diagnose contact")
-    log, pitch_mm = read_contact_log(
-        path, log_format, radius_mm=radius_mm, table=table, save_log=out / "press_log.csv"
+    log = read_contact_log(
+        path,
+        log_format,
+        radius_mm=radius_mm,
+        table=table,
+        marker_pitch_mm=marker_pitch_mm,
+        save_log=out / "press_log.csv",
     )
-    marker_pitch_mm = pitch_mm if np.isnan(marker_pitch_mm) else marker_pitch_mm
-    diagnosis = diagnose(log.columns, notes=result.log_notes(log), session_clock=log.session_clock)
+    log, _ = align(log)
+    # A depth that the volume was computed from is no condition that it may follow.
+    columns = {name: values for name, values in log.columns.items() if name != "depth_mm"}
+    diagnosis = diagnose(
+        columns,
+        notes=result.log_notes(log),
+        session_clock=log.session_clock,
+        volume_stderr_share=log.volume_stderr_share,
+    )
     provenance = {"data_sha256": {path.name: log.sha256}, **diagnosis.law.provenance}
-    law = replace(diagnosis.law, marker_pitch_mm=marker_pitch_mm, provenance=provenance)
+    law = replace(diagnosis.law, marker_pitch_mm=log.marker_pitch_mm, provenance=provenance)
     if markers is not None:
         known, tracks = load_tracks(markers, sensor, without_zero(log))
         found = diagnose_markers(tracks, known, law.k_n_mm3_per_n.value)
@@ -87,6 +101,7 @@ def diagnose(
     *,
     notes: Sequence[str] = (),
     session_clock: bool = True,
+    volume_stderr_share: float = 0.0,
     rules: SelectionRules = DEFAULT_RULES,
 ) -> result.Diagnosis:
     """Diagnose the columns (N,) of a press log, as ``PressLog.columns`` has them.
@@ -106,7 +121,8 @@ def diagnose(
                 notes.append(note)
             if usable is None:
                 continue
-            own = _Channel(usable, channel, session_clock, rules)
+            share = volume_stderr_share if channel == "normal" else 0.0
+            own = _Channel(usable, channel, session_clock, rules, share)
             if own.every.thinned().is_loaded:
                 loaded[channel] = own
             else:
@@ -145,13 +161,24 @@ class _Channel:
     """The steps of one channel's diagnosis, on columns that are finite where it needs them."""
 
     def __init__(
-        self, columns: Columns, channel: Channel, session_clock: bool, rules: SelectionRules
+        self,
+        columns: Columns,
+        channel: Channel,
+        session_clock: bool,
+        rules: SelectionRules,
+        response_stderr_share: float,
     ) -> None:
         self._columns, self._channel, self._rules = columns, channel, rules
         self._session_clock = session_clock
         self._rng = np.random.default_rng(SEED)
         square = sum(np.asarray(columns[name], np.float64) ** 2 for name in TARGETS[channel])
         self._rms = float(np.sqrt(np.mean(square) / len(TARGETS[channel]))) or 1.0
+        self._share = response_stderr_share
+        load, response = (
+            np.stack([columns[name] for name in names], axis=1)
+            for names in (FORCES[channel], TARGETS[channel])
+        )
+        self._linear = linear_slope(load, response, columns["trial"], response_stderr_share)
         self.every = ChannelSamples(columns, channel, rules)
 
     @cached_property
@@ -202,7 +229,8 @@ class _Channel:
             scored_effects=without.accepted.effect_names,
             base=base,
             final=final,
-            base_errors=standard_errors(data, base),
+            linear=self._linear,
+            volume_stderr_share=self._share,
             final_errors=standard_errors(data, final),
             before=before,
             after=after,
@@ -270,8 +298,7 @@ def _law_of(channels: dict[str, result.ChannelDiagnosis]) -> ContactLaw:
     compliance = {"normal": Estimate(1.0), "shear": Estimate(float("nan"), float("nan"), "mm/N")}
     for name, found in channels.items():
         model, errors = found.final.model, found.final_errors
-        unit = PLAIN_UNITS[found.data.channel][1]
-        compliance[name] = Estimate(model.compliance, errors.compliance, unit)
+        compliance[name] = found.compliance
         for term in model.terms:
             parameters = {
                 key: Estimate(
@@ -314,8 +341,7 @@ def _usable_columns(
     columns: Columns, channel: Channel, rules: SelectionRules
 ) -> tuple[dict[str, NDArray[Any]] | None, str]:
     """Rows in which the channel was measured, and how many are not; or None and why."""
-    forces = ("force_normal_n",) if channel == "normal" else SHEAR_FORCES
-    targets = TARGETS[channel]
+    forces, targets = FORCES[channel], TARGETS[channel]
     refusal = f"{channel} channel: not diagnosed,"
     lacking = [name for name in (*targets, *forces) if name not in columns]
     if lacking:

@@ -8,8 +8,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from tacgen.calibrate.contact.slope_fit import SlopeFit
 from tacgen.contact.effects import Where, separating_measurement
 from tacgen.contact.law import PLAIN_UNITS, ContactLaw
+from tacgen.core.records import Estimate
 from tacgen.diagnose.contact.candidates import follows_load, known_columns, max_levels
 from tacgen.diagnose.contact.channel import OUTLIER_SIGMAS, ChannelData
 from tacgen.diagnose.contact.heldout import Errors
@@ -33,7 +35,7 @@ class ChannelDiagnosis:
     ``base`` and ``final`` are fits to all trials, of which the effects are chosen. ``before`` and
     ``after`` are errors on held-out trials: of a law that was chosen and fitted without them, with
     the ``scored_effects``. ``how`` says how the trials were held out; ``floor`` is the standard
-    deviation of one sample's noise.
+    deviation of one sample's noise. ``linear`` is the law without effects, as a calibration has it.
     """
 
     data: ChannelData
@@ -41,7 +43,8 @@ class ChannelDiagnosis:
     scored_effects: tuple[str, ...]
     base: Fit
     final: Fit
-    base_errors: StandardErrors
+    linear: SlopeFit
+    volume_stderr_share: float
     final_errors: StandardErrors
     before: Errors
     after: Errors
@@ -62,6 +65,19 @@ class ChannelDiagnosis:
         if self.unexplained:
             return "unexplained"
         return "effect_found" if self.effect_names else "sufficient"
+
+    @property
+    def compliance(self) -> Estimate:
+        """K of the extended law, its error of the joint fit; the linear law's if nothing is added.
+
+        Both errors hold one that all volumes share.
+        """
+        model, unit = self.final.model, PLAIN_UNITS[self.data.channel][1]
+        if not model.terms and not model.covariates:
+            return Estimate(self.linear.value, self.linear.stderr, unit)
+        of_volumes = self.volume_stderr_share * model.compliance
+        stderr = math.hypot(self.final_errors.compliance, of_volumes)
+        return Estimate(model.compliance, stderr, unit)
 
     @property
     def effect_names(self) -> tuple[str, ...]:
@@ -140,7 +156,7 @@ class Diagnosis:
     @property
     def linear_law(self) -> ContactLaw:
         """The law without effects, fitted to the same trials: what ``law`` is compared with."""
-        compliance = {name: found.base.model.compliance for name, found in self.channels.items()}
+        compliance = {name: found.linear.value for name, found in self.channels.items()}
         k_n = compliance.get("normal", self.law.k_n_mm3_per_n.value)
         return ContactLaw.linear(k_n, compliance.get("shear", float("nan")))
 
@@ -178,11 +194,8 @@ def _channel(found: ChannelDiagnosis) -> dict[str, Any]:
         "held_out": found.how,
         "scored_effects": list(found.scored_effects),
         "compliance": {
-            when: _estimate(fit.model.compliance, errors.compliance, per_newton)
-            for when, fit, errors in (
-                ("before", found.base, found.base_errors),
-                ("after", found.final, found.final_errors),
-            )
+            when: _estimate(one.value, one.stderr, per_newton)
+            for when, one in (("before", found.linear), ("after", found.compliance))
         },
         "ranking": [
             {"candidate": label, "heldout_gain": finite(gain), "p_value": found.p_value(p)}

@@ -11,7 +11,7 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
-from tacgen.calibrate.contact.identifiability import limits_of
+from tacgen.calibrate.contact.align import limits_of
 from tacgen.calibrate.contact.law_fit import agreement_of, fit_contact
 from tacgen.calibrate.contact.slope_fit import fit_slope
 from tacgen.cli import app

@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tacgen.calibrate.contact.align import without_zero
 from tacgen.calibrate.contact.law_fit import fit_contact
-from tacgen.calibrate.contact.rest_zero import without_zero
 from tacgen.presses.press_log import read_press_log
 
 K_N, K_S = 5.135, 0.8

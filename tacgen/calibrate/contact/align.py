@@ -1,0 +1,535 @@
+"""One road from what a log holds to force and volume that count from the same zero.
+
+Depths become volumes of their ball, whose radius is fitted where nobody stated it. A depth that is
+counted from a few hundredths of a millimetre too early or too late bends V against F, so that the
+depth's and the gauge's zero are fitted, press by press, but only where presses show that they begin
+elsewhere than logged: a zero that is fitted in vain costs most of a compliance's certainty.
+Elsewhere V = k_n F_n needs that what gauge and gel read at rest before a press is subtracted.
+
+``limits_of`` is what a log lacks, and which press would tell.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from types import MappingProxyType
+
+import numpy as np
+from scipy.optimize import least_squares, minimize_scalar
+from scipy.special import fdtrc
+
+from tacgen.calibrate.contact.slope_fit import neighbours
+from tacgen.core.arrays import BoolArray, FloatArray, IntArray
+from tacgen.core.errors import PressError
+from tacgen.core.records import frozen_array
+from tacgen.presses.geometry import ball_depth_mm, ball_volume_mm3
+from tacgen.presses.press_log import SHEAR, PressLog
+
+MIN_CONTACT_SAMPLES = 6  # fewer samples in contact do not carry a slope and a contact point
+MEDIAN_STDERR = 1.25  # of normal noise, in standard errors of the mean
+BEGINS_ELSEWHERE_P = 0.1  # a shift that is fitted in vain costs certainty, one left out is an error
+TAIL_SHARE = 0.02  # of the largest force: several times the noise; beyond it residuals are tails
+IN_CONTACT_SHARE = 0.05  # of the deepest: nearer to the surface noise of the depth decides
+INSTRUMENT_STEPS = 6  # each a tenth of the one before it
+MOST_SHIFT_SHARE = 0.15  # of the deepest, median: zeros of stages are off by less, stiffening more
+MOST_STEP_SHARE = 0.2  # of the deepest: where a step is longer, its direction alone is known
+LEAST_SHIFT_SHARE = 1e-4  # of the deepest: a shift of which changes no volume that matters
+
+RADII_MM = (0.1, 100.0)  # indenters outside this range are no balls that a gel is pressed with
+N_RADII = 121  # of a profile: 6 % apart
+N_STARTS = 13  # contact points tried along a curve: its loss has several minima
+MIN_CURVE_SAMPLES = 8  # in contact: two for each of the four numbers of a curve
+
+LEAST_ROWS = 3  # at rest before a press
+LEAST_TRIALS = 3  # that have them
+REACH = 5.0  # standard deviations of a sample's noise that a row at rest may be off
+APART = 2.0  # times the noise of their means that zeros of trials differ by where they wander
+CLEAR = 5.0  # standard errors that a zero must be off
+LEAST_SHARE = 0.005  # of a column's span: less does not matter beside any interval
+PRESSED = 10.0  # standard deviations of the noise that a press rises above its rest
+
+FEW_TRIALS = 10  # with fewer presses the t quantile makes intervals clearly wider
+SMALL_SPREAD_MM = 1.0  # positions closer together than a contact is wide are one place
+HOLD_S = 1.0  # a hold long enough to tell creep from the speed of loading
+
+
+@dataclass(frozen=True, slots=True)
+class ContactPoint:
+    """Shifts of one trial: depth = logged depth + ``depth_mm``, force = logged − ``force_n``.
+
+    ``k_stderr_share`` is the relative standard error of a compliance fitted together with them.
+    """
+
+    trial: int
+    depth_mm: float
+    force_n: float
+    k_stderr_share: float = 0.0
+
+
+def align(
+    log: PressLog, *, free_contact_point: bool | None = None
+) -> tuple[PressLog, tuple[ContactPoint, ...]]:
+    """The log with a volume for every sample, and the contact points that were fitted, if any.
+
+    With ``free_contact_point`` those of all presses are, by default those of presses whose volume
+    is that of a known ball at its depth, where they show that they begin elsewhere than logged.
+    Raises ``PressError`` where a ball's radius is neither stated nor to be found.
+    """
+    if "volume_mm3" not in log:
+        log = _with_fitted_balls(log)
+    of_depth = [int(trial) for trial in log.trials if _is_of_depth(log, log["trial"] == trial)]
+    if free_contact_point is None and begins_elsewhere(log, of_depth):
+        note = "presses begin elsewhere than depth_mm says: the contact point of each is fitted"
+        log = replace(log, warnings=(*log.warnings, f"{log.path}: {note}"))
+        return free_contact_points(log, of_depth)
+    return free_contact_points(log, log.trials.tolist()) if free_contact_point else (log, ())
+
+
+def _is_of_depth(log: PressLog, rows: BoolArray) -> bool:
+    """Whether a press's volume is that of its ball at its depth, rather than measured."""
+    if "depth_mm" not in log or "radius_mm" not in log:
+        return False
+    depth, radius, volume = (log[n][rows] for n in ("depth_mm", "radius_mm", "volume_mm3"))
+    known = np.isfinite(depth).all() and np.isfinite(radius).all() and (radius > 0).all()
+    cap = ball_volume_mm3(depth, radius)
+    return bool(known and np.abs(volume - cap).max() <= 1e-3 * cap.max())
+
+
+def begins_elsewhere(log: PressLog, trials: Sequence[int]) -> bool:
+    """Whether presses of known balls begin at another depth than logged.
+
+    An F-test over all presses. The shifts also have to explain more than losses on the way back,
+    and to be small beside the depth: else they stand for an effect of the gel.
+    """
+    fits, shares, dof = list[_Press](), list[float](), 0
+    for trial in trials:
+        rows = log["trial"] == trial
+        depth, radius, force = (log[n][rows] for n in ("depth_mm", "radius_mm", "force_normal_n"))
+        if (depth > 0).sum() >= MIN_CONTACT_SAMPLES:
+            fits.append(_fit_press(depth, radius, force))
+            shares.append(fits[-1].shift_mm / float(depth.max()))
+            dof += int((depth > 0).sum()) - 3
+    if not fits:
+        return False
+    statistic = float(np.mean([(fit.shift_mm / fit.shift_stderr_mm) ** 2 for fit in fits]))
+    is_shifted = fdtrc(len(fits), dof, statistic) < BEGINS_ELSEWHERE_P
+    of_loss = sum(fit.square_of_loss for fit in fits)
+    is_effect = (
+        sum(fit.square for fit in fits) > of_loss
+        or abs(float(np.median(shares))) > MOST_SHIFT_SHARE
+    )
+    return bool(is_shifted and not is_effect)
+
+
+def free_contact_points(
+    log: PressLog, trials: Sequence[int]
+) -> tuple[PressLog, tuple[ContactPoint, ...]]:
+    """The log with the contact point of each of ``trials`` found, and the shifts.
+
+    Where the ball is known (``radius_mm``) its depth (``depth_mm``, or the volume's) is shifted
+    and the volume recomputed; elsewhere only the force is.
+    """
+    volume, force = log["volume_mm3"].copy(), log["force_normal_n"].copy()
+    points = []
+    for trial in trials:
+        rows = np.flatnonzero(log["trial"] == trial)
+        radius = log["radius_mm"][rows] if "radius_mm" in log else np.array([np.nan])
+        if np.isfinite(radius).all() and (radius > 0).all():
+            depth = log["depth_mm"][rows] if "depth_mm" in log else None
+            if depth is None or not np.isfinite(depth).all():
+                depth = ball_depth_mm(volume[rows], radius)
+            point, volume[rows] = _shift_depth(int(trial), depth, radius, force[rows])
+        else:
+            point = _shift_force(int(trial), volume[rows], force[rows])
+        force[rows] -= point.force_n
+        points.append(point)
+    return _with_columns(log, {"volume_mm3": volume, "force_normal_n": force}), tuple(points)
+
+
+def _with_columns(log: PressLog, changed: dict[str, FloatArray]) -> PressLog:
+    frozen = {name: frozen_array(values) for name, values in changed.items()}
+    return replace(log, columns=MappingProxyType({**log.columns, **frozen}))
+
+
+def _with_fitted_balls(log: PressLog) -> PressLog:
+    """Depths of balls of unknown radius with the radius that explains them best as V = k_n F.
+
+    One for each value of ``indenter``, else ``curve``, else for all. What the fit leaves open of
+    the volumes' scale is ``volume_stderr_share``.
+    """
+    by = next((name for name in ("indenter", "curve") if name in log), "trial")
+    names = log[by] if by != "trial" else np.zeros(len(log))
+    radius, shares, texts = np.full(len(log), np.nan), [], []
+    for name in np.unique(names):
+        rows = names == name
+        radius[rows], interval, share = _fit_radius(log.select(rows))
+        shares.append(share)
+        low, high = (f"{end:.3g} mm" for end in interval)
+        high = "no upper bound" if interval[1] >= 0.99 * RADII_MM[1] else high
+        of = f" of {by} {name}" if by != "trial" else ""
+        texts.append(f"{radius[rows][0]:.3g} mm{of} (95 %: {low} to {high})")
+    if radius.min() >= 0.99 * RADII_MM[1]:
+        msg = (
+            f"{log.path}: the larger the ball, the better it explains these curves, and k_n grows "
+            "with it; give the ball's radius with --radius-mm"
+        )
+        raise PressError(msg)
+    note = (
+        f"{log.path}: depths and no volumes: the volume is that of a ball whose radius was fitted "
+        f"so that V = k_n F holds as well as it can, {', '.join(texts)}: give --radius-mm or log "
+        "volume_mm3 before you believe in k_n or in stiffening"
+    )
+    volume = ball_volume_mm3(log["depth_mm"], radius)
+    log = replace(log, warnings=(*log.warnings, note), volume_stderr_share=max(shares))
+    return _with_columns(log, {"radius_mm": radius, "volume_mm3": volume})
+
+
+def _fit_radius(log: PressLog) -> tuple[float, tuple[float, float], float]:
+    """The radius that explains presses best, its 95 % interval, the relative error of k_n by it.
+
+    The interval is that of the profile of the misfit, k_n and contact point of each press refitted,
+    with as many samples as the residuals are independent of each other.
+    Raises ``PressError`` where no press has enough samples in contact.
+    """
+    curves = []
+    for trial in log.trials:
+        rows = log["trial"] == trial
+        depth, force = log["depth_mm"][rows], log["force_normal_n"][rows]
+        if (depth > 0).sum() >= MIN_CURVE_SAMPLES:
+            at_rest = force[depth <= 0]
+            curves.append((depth, force - np.median(at_rest) if at_rest.size else force))
+    if not curves:
+        msg = (
+            f"{log.path}: row {log.rows.min()}: no press has {MIN_CURVE_SAMPLES} samples in "
+            "contact, which the radius of an unknown ball needs; give --radius-mm"
+        )
+        raise PressError(msg)
+
+    def fits(radius: float) -> list[tuple[FloatArray, float]]:
+        return [_fit_curve(*curve, radius) for curve in curves]
+
+    def squares(radius: float) -> float:
+        return sum(float(left @ left) for left, _ in fits(radius))
+
+    radii = np.geomspace(*RADII_MM, N_RADII)
+    costs = np.array([squares(radius) for radius in radii])
+    near = radii[np.clip(int(np.argmin(costs)) + np.array([-1, 1]), 0, N_RADII - 1)]
+    best = minimize_scalar(squares, bounds=tuple(near), method="bounded", options={"xatol": 1e-3})
+    found = fits(float(best.x))
+    power = sum(float(left @ left) for left, _ in found)
+    shared = sum(float(left[1:] @ left[:-1]) for left, _ in found) / max(power, 1e-300)
+    count = sum(len(left) for left, _ in found)
+    count *= (1.0 - max(shared, 0.0)) / (1.0 + max(shared, 0.0))
+    limit = best.fun * (1.0 + 3.841 / (max(count, MIN_CURVE_SAMPLES) - 3))
+    inside = [*radii[costs <= limit], float(best.x)]
+    logs = [np.log(np.median([k_n for _, k_n in fits(end)])) for end in (min(inside), max(inside))]
+    return float(best.x), (min(inside), max(inside)), float(np.ptp(logs)) / (2 * 1.96)
+
+
+def _fit_curve(
+    depth_mm: FloatArray, force_n: FloatArray, radius_mm: float
+) -> tuple[FloatArray, float]:
+    """Residual (N,) of F = V(d + d₀)/k of one press, and its k, mm³/N."""
+    deepest = float(depth_mm.max())
+    low, high = -0.5 * deepest, 0.2 * deepest
+    shifts = np.linspace(low, high, N_STARTS)
+    for _ in range(4):
+        volumes = ball_volume_mm3(depth_mm + shifts[:, None], radius_mm)
+        stiffness = (volumes @ force_n) / np.maximum((volumes**2).sum(axis=1), 1e-300)
+        left = force_n - stiffness[:, None] * volumes
+        at = int(np.argmin((left**2).sum(axis=1)))
+        found = left[at], 1.0 / max(float(stiffness[at]), 1e-300)
+        step = shifts[1] - shifts[0]
+        shifts = np.linspace(max(low, shifts[at] - step), min(high, shifts[at] + step), N_STARTS)
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Press:
+    """One press of a ball: the shift of its depth, its zero of force, and their errors.
+
+    ``square`` is the sum that the shift leaves, ``square_of_loss`` what a loss of force on the way
+    back leaves in its place.
+    """
+
+    shift_mm: float
+    shift_stderr_mm: float
+    zero_n: float
+    k_stderr_share: float
+    square: float
+    square_of_loss: float
+
+
+def _shift_depth(
+    trial: int, depth_mm: FloatArray, radius_mm: FloatArray, force_n: FloatArray
+) -> tuple[ContactPoint, FloatArray]:
+    touching = depth_mm > 0
+    if touching.sum() < MIN_CONTACT_SAMPLES:
+        zero_n = float(np.median(force_n[~touching])) if (~touching).any() else 0.0
+        return ContactPoint(trial, 0.0, zero_n), ball_volume_mm3(depth_mm, radius_mm)
+    fit = _fit_press(depth_mm, radius_mm, force_n)
+    volume = np.where(touching, ball_volume_mm3(depth_mm + fit.shift_mm, radius_mm), 0.0)
+    return ContactPoint(trial, fit.shift_mm, fit.zero_n, fit.k_stderr_share), volume
+
+
+def _fit_press(depth_mm: FloatArray, radius_mm: FloatArray, force_n: FloatArray) -> _Press:
+    """Fit F = F₀ + V(d + d₀)/k to a press.
+
+    Least squares find where it is. As noise of the depth would pull d₀, the last steps pair each
+    sample with the mean of its neighbours, whose noise is not its own; the errors (HC0) hold for
+    noise that grows with the depth, and are as many times wider as residuals go on for rows.
+    """
+    touching = depth_mm > 0
+    before = np.flatnonzero(~touching)
+    rest_n = float(np.median(force_n[before])) if len(before) else 0.0
+    deepest = float(depth_mm.max())
+    load = force_n - rest_n
+    scale_n = float(load.max())
+    # The median of the rows before contact knows the zero as well as so many rows.
+    known_rows = len(before) / MEDIAN_STDERR**2
+
+    def misfit(parameters: FloatArray) -> FloatArray:
+        shift, compliance, zero = parameters
+        volume = ball_volume_mm3(depth_mm + shift, radius_mm)
+        left = (load / scale_n - zero - volume / np.exp(compliance) / scale_n)[touching]
+        return np.append(left, zero * np.sqrt(known_rows))
+
+    start = np.log(ball_volume_mm3(deepest, radius_mm[touching].mean()) / scale_n)
+    found = least_squares(
+        misfit,
+        [0.0, start, 0.0],
+        bounds=([-0.9 * deepest, -np.inf, -0.2], [2.0 * deepest, np.inf, 0.2]),
+        x_scale=[0.1 * deepest, 1.0, 0.1],
+    )
+    at = np.array([found.x[0], np.exp(-found.x[1]), scale_n * found.x[2]])
+    number = np.zeros(len(load), dtype=np.int64)
+    inside = neighbours(depth_mm[:, None], number)[:, 0] > IN_CONTACT_SHARE * deepest
+    inside &= touching
+    ones = np.ones(len(load))
+
+    def step(columns: Sequence[FloatArray], left: FloatArray) -> tuple[FloatArray, ...]:
+        """Change (3,) of the column's factors, the last of them F₀, its inverse and its pairs."""
+        paired = np.stack([neighbours(one[:, None], number)[:, 0] for one in columns], axis=1)
+        matrix, score = (
+            paired[inside].T @ np.stack(columns, axis=1)[inside],
+            paired[inside].T @ left,
+        )
+        matrix[2, 2] += known_rows
+        score[2] -= known_rows * at[2]
+        inverse = np.linalg.pinv(matrix)
+        return inverse @ score, inverse, paired[inside]
+
+    for _ in range(INSTRUMENT_STEPS):
+        volume = ball_volume_mm3(depth_mm + at[0], radius_mm)
+        left = (load - at[1] * volume - at[2])[inside]
+        area = at[1] * _area_mm2(depth_mm + at[0], radius_mm)
+        change, inverse, paired = step([area, volume, ones], left)
+        at = at + change * min(1.0, MOST_STEP_SHARE * deepest / max(abs(float(change[0])), 1e-300))
+    spread = (paired * left[:, None] ** 2).T @ paired
+    spread[2, 2] += known_rows * float((left**2).mean())
+    shared = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300)
+    rows = (1.0 + max(shared, 0.0)) / (1.0 - min(max(shared, 0.0), 0.99))
+    rows *= len(left) / max(len(left) - 3, 1)
+    errors = np.sqrt(np.diag(inverse @ spread @ inverse.T) * rows)
+
+    volume = ball_volume_mm3(depth_mm, radius_mm)
+    columns = [np.maximum.accumulate(volume) - volume, volume, ones]
+    factors = step(columns, (load - at[2])[inside])[0] + [0.0, 0.0, at[2]]
+    loss = (load - factors @ np.stack(columns))[inside]
+    return _Press(
+        float(at[0]),
+        max(float(errors[0]), LEAST_SHIFT_SHARE * deepest),
+        rest_n + float(at[2]),
+        float(errors[1] / at[1]),
+        float(left @ left),
+        float(loss @ loss),
+    )
+
+
+def _area_mm2(depth_mm: FloatArray, radius_mm: FloatArray) -> FloatArray:
+    """Area of the ball at the gel's surface at rest: dV/dd."""
+    cap = np.clip(depth_mm, 0.0, radius_mm)
+    return np.asarray(np.pi * cap * (2.0 * radius_mm - cap))
+
+
+def _shift_force(trial: int, volume_mm3: FloatArray, force_n: FloatArray) -> ContactPoint:
+    """Fit F = F₀ + V/k, robust to tails: only the force's zero can move."""
+    scale = np.abs(volume_mm3).max() or 1.0, np.abs(force_n).max() or 1.0
+    volume, force = volume_mm3 / scale[0], force_n / scale[1]
+
+    def misfit(parameters: FloatArray) -> FloatArray:
+        return np.asarray(force - parameters[0] - parameters[1] * volume)
+
+    zero, _ = least_squares(misfit, [0.0, 1.0], loss="soft_l1", f_scale=TAIL_SHARE).x
+    return ContactPoint(trial, 0.0, float(zero * scale[1]))
+
+
+@dataclass(frozen=True, slots=True)
+class _Zero:
+    """What a column reads at rest: pooled, and what each trial's samples are off by (T,)."""
+
+    pooled: float
+    offset: FloatArray
+    wanders: bool
+
+
+def without_zero(log: PressLog) -> PressLog:
+    """``log`` less what each measured column reads at rest, with warnings that say so.
+
+    Where zeros differ from trial to trial, each trial's own is subtracted. Nothing changes where
+    too few presses begin at rest, or all is 0 there.
+    """
+    trial = log["trial"]
+    first = np.flatnonzero(np.diff(trial)) + 1
+    bounds: IntArray = np.concatenate([[0], first, [len(trial)]]).astype(np.int64)
+    rests = _rows_at_rest(log, bounds)
+    if sum(rows.size > 0 for rows in rests) < LEAST_TRIALS:
+        return log
+    columns, notes = dict(log.columns), list(log.warnings)
+    for name in ("force_normal_n", "volume_mm3", *SHEAR):
+        if name in log and (zero := _zero(log[name], rests)):
+            columns[name] = frozen_array(log[name] - np.repeat(zero.offset, np.diff(bounds)))
+            notes.append(f"{log.path}: {_sentence(name, zero)}")
+    return replace(log, columns=columns, warnings=tuple(notes))
+
+
+def _rows_at_rest(log: PressLog, bounds: IntArray) -> list[IntArray]:
+    """The first rows of each trial, for as long as neither force nor volume leaves its lowest."""
+    measured = [log["force_normal_n"], log["volume_mm3"]]
+    noise = [_noise(values, bounds) for values in measured]
+    return [_rest(start, stop, measured, noise) for start, stop in pairwise(bounds)]
+
+
+def _rest(
+    start: int, stop: int, measured: Sequence[FloatArray], noise: Sequence[float]
+) -> IntArray:
+    count = stop - start
+    for values, sigma in zip(measured, noise, strict=True):
+        own = values[start:stop]
+        level = float(np.median(own[:LEAST_ROWS]))
+        reach = REACH * sigma + 1e-9 * float(np.ptp(own))
+        is_lowest = level - float(np.quantile(own, 0.05)) <= reach
+        if not is_lowest or own.max() - level <= PRESSED * sigma:
+            return np.zeros(0, dtype=np.int64)
+        away = np.flatnonzero(np.abs(own - level) > reach)
+        count = min(count, int(away[0]) if away.size else count)
+    return np.arange(start, start + count if count >= LEAST_ROWS else start, dtype=np.int64)
+
+
+def _noise(values: FloatArray, bounds: IntArray) -> float:
+    """Robust standard deviation of a sample's noise, from second differences within trials."""
+    bends = [np.diff(values[start:stop], 2) for start, stop in pairwise(bounds)]
+    return float(1.4826 * np.median(np.abs(np.concatenate(bends))) / np.sqrt(6.0))
+
+
+def _zero(values: FloatArray, rests: Sequence[IntArray]) -> _Zero | None:
+    """The zero of a column (N,) by the rows at rest of each trial; None where it is 0 anyway."""
+    seen = np.array([float(values[rows].mean()) if rows.size else np.nan for rows in rests])
+    known = np.flatnonzero(np.isfinite(seen))
+    if known.size < LEAST_TRIALS:
+        return None
+    pooled = float(np.median(seen[known]))
+    own_rows = [rests[int(k)] for k in known]
+    scatter = [values[rows] - values[rows].mean() for rows in own_rows]
+    counts = np.array([rows.size for rows in own_rows])
+    freedom = max(int((counts - 1).sum()), 1)
+    sample = float(np.sqrt((np.concatenate(scatter) ** 2).sum() / freedom))
+    span = float(np.nanquantile(np.abs(values - pooled), 0.99))
+    between = float(seen[known].std())
+    by_noise = sample / np.sqrt(float(counts.mean()))
+    wanders = between > max(APART * by_noise, LEAST_SHARE * span)
+    error = max(between, by_noise) / np.sqrt(known.size)
+    if not wanders and abs(pooled) <= max(CLEAR * error, LEAST_SHARE * span):
+        return None
+    own = np.where(np.isfinite(seen), seen, pooled) if wanders else np.full(seen.size, pooled)
+    return _Zero(pooled, own, wanders)
+
+
+def _sentence(name: str, zero: _Zero) -> str:
+    unit = {"n": "N", "mm3": "mm³", "mm": "mm"}[name.rsplit("_", 1)[1]]
+    if not zero.wanders:
+        return (
+            f"{name} is {zero.pooled:.3g} {unit} at rest, before the presses: that is subtracted; "
+            "tare the gauge, or the volume of a bare gel, before you record"
+        )
+    low, high = float(zero.offset.min()), float(zero.offset.max())
+    return (
+        f"{name} at rest differs from press to press, {low:.3g} to {high:.3g} {unit}: each "
+        "press's own zero is subtracted"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """What a log cannot identify, and what to press next to identify it."""
+
+    subject: str
+    cannot_tell: str
+    press_next: str
+
+    def __str__(self) -> str:
+        return f"{self.cannot_tell}; {self.press_next}"
+
+
+def limits_of(log: PressLog) -> tuple[Limit, ...]:
+    """What the schedule of this log leaves open, the most important first."""
+    checks = {
+        "geometry": (
+            n_balls(log) > 1,
+            "one ball only: whether k_n depends on the indenter's size or shape is unknown",
+            "press a second ball of at least twice the radius",
+        ),
+        "shear": (
+            log.has_shear,
+            "no trial holds both shear force and marker motion: k_s is unknown",
+            "push sideways while pressing and track the markers",
+        ),
+        "trials": (
+            len(log.trials) >= FEW_TRIALS,
+            f"{len(log.trials)} presses only: the interval rests on few repeats and is wide",
+            f"press at least {FEW_TRIALS} times, and repeat a press now and then",
+        ),
+        "unloading": (
+            any(_is_unloaded(log, trial) for trial in log.trials),
+            "no press is unloaded: hysteresis and stiffening look the same",
+            "log the way back as well",
+        ),
+        "hold": (
+            any(_is_held(log, trial) for trial in log.trials),
+            f"no press is held for {HOLD_S:g} s near its peak: creep is unknown",
+            "hold some presses for several seconds",
+        ),
+        "position": (
+            _has_places(log),
+            "positions on the gel are not known or all alike: whether k_n depends on them is "
+            "unknown",
+            "press on a grid over the gel and log x_mm and y_mm",
+        ),
+    }
+    return tuple(Limit(name, *texts) for name, (known, *texts) in checks.items() if not known)
+
+
+def n_balls(log: PressLog) -> int:
+    """How many different indenters pressed, by size where it is known, else by name."""
+    radii = log["radius_mm"] if "radius_mm" in log else np.array([])
+    known = np.unique(np.round(radii[np.isfinite(radii)], 6)) if len(radii) else radii
+    names = np.unique(log["indenter"]) if "indenter" in log else np.array([])
+    return max(len(known), len(names), 1)
+
+
+def _is_unloaded(log: PressLog, trial: int) -> bool:
+    force = log["force_normal_n"][log["trial"] == trial]
+    return len(force) > 2 and bool(force[np.argmax(force) :].min() < 0.5 * force.max())
+
+
+def _is_held(log: PressLog, trial: int) -> bool:
+    rows = log["trial"] == trial
+    force, time_s = log["force_normal_n"][rows], log["time_s"][rows]
+    held = force > 0.9 * force.max()
+    return bool(held.any() and np.ptp(time_s[held]) >= HOLD_S)
+
+
+def _has_places(log: PressLog) -> bool:
+    known = [log[name] for name in ("x_mm", "y_mm") if name in log]
+    spreads = [np.nanmax(mm) - np.nanmin(mm) for mm in known if np.isfinite(mm).any()]
+    return bool(spreads and max(spreads) >= SMALL_SPREAD_MM)

@@ -1,0 +1,217 @@
+"""One road from depths, volumes or both to the law: the same presses give the same answer."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from tacgen.calibrate.contact.align import align
+from tacgen.calibrate.contact.command import calibrate_contact
+from tacgen.cli import app
+from tacgen.contact.law import load_law
+from tacgen.core.errors import PressError
+from tacgen.diagnose.contact.command import diagnose_log
+from tacgen.presses.geometry import ball_depth_mm, ball_volume_mm3
+from tacgen.presses.lab_table import LogFormat, read_log_table
+from tacgen.presses.press_log import press_log_of
+from tacgen.rig import RigRecipe, load_rig_recipe, simulate_session
+
+K_N, K_S = 5.135, 0.8
+
+
+def curves(radius_mm, k_n, deepest_mm, *, late_mm=0.0, n_curves=1, seed=0) -> pd.DataFrame:
+    """Curves of one ball with noise of 0.3 % of the largest force."""
+    rng, parts = np.random.default_rng(seed), []
+    for trial in range(n_curves):
+        depth = np.linspace(0.0, deepest_mm, 40)
+        force = ball_volume_mm3(depth - late_mm, radius_mm) / k_n
+        force += 0.003 * force.max() * rng.standard_normal(40)
+        parts.append(pd.DataFrame({"trial": trial, "force_normal_n": force, "depth_mm": depth}))
+    return pd.concat(parts, ignore_index=True)
+
+
+def read(frame: pd.DataFrame, folder: Path):
+    frame.to_csv(folder / "log.csv", index=False)
+    return press_log_of(read_log_table(folder / "log.csv", LogFormat()))
+
+
+def session(seed: int, effects=()) -> tuple[pd.DataFrame, np.ndarray]:
+    """A session of the rig with one or two balls, and the true depths (N,)."""
+    given = load_rig_recipe("rig").model_dump() | {"seed": seed, "effects": list(effects)}
+    given["schedule"]["force_n"] = (0.6, 4.0)
+    radii = (4.0,) if seed % 2 else (3.0, 5.0)
+    given["indenters"] = [{"name": f"ball_{r:g}", "radius_mm": r} for r in radii]
+    made = simulate_session(RigRecipe.model_validate(given))
+    return made.log, ball_depth_mm(made.truth.volume_mm3, made.log["radius_mm"])
+
+
+def in_form(form: str, seed: int, effects=()) -> pd.DataFrame:
+    """A session's depths as a rig may record them, in place of its volumes."""
+    log, true_mm = session(seed, effects)
+    noise = 0.005 * np.random.default_rng([seed, 7]).standard_normal(len(log))
+    own_zero = 0.03 * np.random.default_rng([seed, 8]).standard_normal(log["trial"].nunique())
+    depth = {
+        "of the volumes": ball_depth_mm(log["volume_mm3"], log["radius_mm"]),
+        "exact": true_mm,
+        "noise": true_mm + noise,
+        "zero off": true_mm + 0.05 + noise,
+        "counted late": np.maximum(true_mm - 0.04, 0.0),
+        "each its own": np.where(true_mm > 0, true_mm, -0.3) + own_zero[log["trial"]],
+    }[form]
+    return log.assign(depth_mm=depth).drop(columns="volume_mm3").round(6)
+
+
+FORMS = ("of the volumes", "exact", "noise", "zero off", "counted late", "each its own")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("form", FORMS)
+def test_the_same_presses_give_one_law_whatever_they_come_with(tmp_path, form):
+    """k_s to the last digit, k_n within its error, and no effect by either command."""
+    for seed in (40, 41):
+        log, _ = session(seed)
+        log.to_csv(tmp_path / "volumes.csv", index=False)
+        by_volume = calibrate_contact(tmp_path / "volumes.csv", tmp_path / "v.yaml").law
+        in_form(form, seed).to_csv(tmp_path / "depths.csv", index=False)
+        law = calibrate_contact(tmp_path / "depths.csv", tmp_path / "d.yaml").law
+        assert law.k_s_mm_per_n == by_volume.k_s_mm_per_n
+        assert law.k_s_mm_per_n.value == pytest.approx(K_S, rel=0.02)
+        assert abs(law.k_n_mm3_per_n.value - K_N) < 3.5 * law.k_n_mm3_per_n.stderr < 0.1
+        diagnosis = diagnose_log(tmp_path / "depths.csv", tmp_path / "diagnosis")
+        found = {name: one.verdict for name, one in diagnosis.channels.items()}
+        assert found == {"normal": "sufficient", "shear": "sufficient"}
+        assert diagnosis.law.k_n_mm3_per_n == law.k_n_mm3_per_n
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["stiffening", "hysteresis", "creep"])
+def test_an_effect_is_found_by_depths_too(tmp_path, name):
+    effect = {"name": name, "channel": "normal", "strength": 4.0}
+    in_form("noise", 44, [effect]).to_csv(tmp_path / "log.csv", index=False)
+    found = diagnose_log(tmp_path / "log.csv", tmp_path / "diagnosis").channels["normal"]
+    assert name in found.effect_names
+
+
+@pytest.mark.slow
+def test_presses_with_depths_beside_presses_with_volumes(tmp_path):
+    log, true_mm = session(43)
+    even = log["trial"] % 2 == 0
+    mixed = log.assign(depth_mm=np.where(even, true_mm, np.nan))
+    mixed["volume_mm3"] = log["volume_mm3"].where(~even)
+    read_mixed = read(mixed, tmp_path)
+    assert len(read_mixed.trials) == log["trial"].nunique()
+    assert any("no volume_mm3 in 12 presses" in text for text in read_mixed.warnings)
+    expected = np.where(even, ball_volume_mm3(true_mm, log["radius_mm"]), log["volume_mm3"])
+    np.testing.assert_allclose(read_mixed["volume_mm3"], expected)
+    law = calibrate_contact(tmp_path / "log.csv", tmp_path / "law.yaml").law
+    assert abs(law.k_n_mm3_per_n.value - K_N) < 3.5 * law.k_n_mm3_per_n.stderr < 0.1
+
+
+def test_a_measured_volume_is_not_replaced_by_that_of_a_depth_beside_it(tmp_path):
+    log, true_mm = session(43)
+    log["depth_mm"] = 1.3 * true_mm + 0.1
+    aligned, points = align(read(log, tmp_path))
+    assert points == ()
+    np.testing.assert_array_equal(aligned["volume_mm3"], log["volume_mm3"])
+
+
+@pytest.mark.slow
+def test_an_unknown_ball_is_found_where_the_curve_bends(tmp_path):
+    """Deep enough that the cap is no parabola: radius and k_n part."""
+    log = read(curves(2.0, 4.0, 2.5, late_mm=0.1, n_curves=2), tmp_path)
+    aligned, points = align(log)
+    assert aligned["radius_mm"][0] == pytest.approx(2.0, rel=0.05)
+    assert [point.depth_mm for point in points] == pytest.approx([-0.1, -0.1], abs=0.02)
+    law = calibrate_contact(tmp_path / "log.csv", tmp_path / "law.yaml").law
+    assert law.k_n_mm3_per_n.value == pytest.approx(4.0, rel=0.05)
+    assert any("whose radius was fitted" in text for text in aligned.warnings)
+
+
+@pytest.mark.slow
+def test_a_shallow_curve_says_that_it_cannot_tell_the_radius(tmp_path):
+    """V ≈ π R d² for d ≪ R: only R / k_n is known, and k_n's error holds that."""
+    log = read(curves(5.0, 4.0, 0.3, n_curves=3), tmp_path)
+    aligned, _ = align(log)
+    assert any("no upper bound" in text for text in aligned.warnings)
+    k_n = calibrate_contact(tmp_path / "log.csv", tmp_path / "law.yaml").law.k_n_mm3_per_n
+    assert aligned["radius_mm"][0] / k_n.value == pytest.approx(5.0 / 4.0, rel=0.1)
+    assert k_n.stderr > 0.5 * k_n.value
+
+
+def test_curves_that_bound_no_ball_are_refused(tmp_path):
+    # A cap's volume is π d² (R − d/3): a pure parabola is that of a ball without end.
+    depth = np.linspace(0.0, 1.0, 40)
+    frame = pd.DataFrame({"trial": 0, "force_normal_n": 3.0 * depth**2, "depth_mm": depth})
+    with pytest.raises(PressError, match="give the ball's radius with --radius-mm"):
+        align(read(frame, tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("depth_mm", "words"),
+    [
+        ([0.1, None], "only 1 of 2 samples can be used"),
+        ([0.1, 0.2], "no press has 8 samples in contact"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_said(tmp_path, depth_mm, words):
+    frame = pd.DataFrame({"curve": "a", "force_normal_n": [1.0, 2.0], "depth_mm": depth_mm})
+    with pytest.raises(PressError, match=words):
+        align(read(frame, tmp_path))
+
+
+@pytest.mark.slow
+def test_the_interval_of_one_curve_of_a_known_ball_holds_its_k_n(tmp_path):
+    """95 % of 20 draws: three standard errors are 15 %."""
+    held = []
+    for seed in range(20):
+        frame = curves(4.0, 5.0, 1.5, late_mm=0.2, seed=seed).assign(radius_mm=4.0)
+        frame.to_csv(tmp_path / "log.csv", index=False)
+        k_n = calibrate_contact(tmp_path / "log.csv", tmp_path / "law.yaml").law.k_n_mm3_per_n
+        held.append(abs(k_n.value - 5.0) < 1.96 * k_n.stderr)
+        assert k_n.stderr < 0.2
+    assert np.mean(held) >= 0.8
+
+
+@pytest.mark.parametrize("zero_n", [0.0, 0.1, -0.3])
+def test_an_untared_gauge_is_subtracted_and_said(tmp_path, zero_n):
+    """Curves that begin at rest state their zero; k_n is then that of a gauge that was tared."""
+    rng = np.random.default_rng(4)
+    parts = []
+    for curve in range(5):
+        depth = np.concatenate([np.zeros(10), np.linspace(0.0, rng.uniform(0.6, 1.0), 60)])
+        force = np.pi * depth**2 * (4.0 - depth / 3) / 5.135 + zero_n
+        noisy = force + 0.01 * rng.normal(size=len(depth))
+        rows = {"curve": curve, "force_normal_n": noisy, "depth_mm": depth, "radius_mm": 4.0}
+        parts.append(pd.DataFrame(rows))
+    pd.concat(parts).to_csv(tmp_path / "curves.csv", index=False)
+    found = calibrate_contact(tmp_path / "curves.csv", tmp_path / "contact.yaml")
+    assert found.law.k_n_mm3_per_n.value == pytest.approx(5.135, rel=0.02)
+    assert any("at rest" in warning for warning in found.warnings) == bool(zero_n)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "name", ["force_depth_curves/force_depth", "asmi_ball_indentation/press_log"]
+)
+def test_measured_curves_have_one_answer(measured_data, tmp_path, name):
+    path = measured_data / f"{name}.csv"
+    law, out = tmp_path / "contact.yaml", tmp_path / "diagnosis"
+    page = tmp_path / "report"
+    words = ["calibrate", "contact", str(path), "--out", str(law), "--json", "--report", str(page)]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 0, result.output
+    assert "data:image/png" in (page / "contact.html").read_text()
+    own = json.loads(result.stdout)["channels"]["normal"]["k_n"]
+    assert own["value"] == pytest.approx(load_law(law).k_n_mm3_per_n.value, rel=1e-6)
+    result = CliRunner().invoke(
+        app, ["diagnose", "contact", str(path), "--out", str(out), "--json"]
+    )
+    assert result.exit_code == 0, result.output
+    before = json.loads(result.stdout)["channels"]["normal"]["compliance"]["before"]
+    assert before["value"] == pytest.approx(own["value"], rel=0.02)
+    assert before["stderr"] == pytest.approx(own["stderr"], rel=0.1)
