@@ -121,6 +121,7 @@ def write_gallery(root: Path | str, made: Mapping[int, Thumbnails] | None = None
     recipe: dict[str, Any] = {}
     with contextlib.suppress(RecipeError):  # `verify` reports it; the page says less then
         recipe = folder.recipe()
+    physics = recipe.get("physics")
     has_markers = "markers_mm" in dataset.touch_names
     n_lines = len(dataset.pads) * len(dataset.marker_rest_mm()) if has_markers else 0
     cards = _fit(cards, CARD_TEXT_BYTES + LINE_BYTES * n_lines)
@@ -130,7 +131,7 @@ def write_gallery(root: Path | str, made: Mapping[int, Thumbnails] | None = None
     text = page.render(
         summary=summarize(folder.root),
         description=str(recipe.get("description", "")),
-        lift_mm=(recipe.get("physics") or {}).get("lift_mm"),
+        lift_mm=physics.get("lift_mm") if isinstance(physics, dict) else None,
         cards=cards,
         gain=gain,
         size_px=(width, height),
