@@ -19,7 +19,8 @@ taken to be pressed first, then sheared and turned.
 What remains approximate: a small contact that is turned moves the gel too little
 (``validation.shear.referee``), pressure alone moves no point (``contact.shear.dilation_mm`` is
 added to the markers), one step or 100 to a constant force differ by 0.9 %, with torsion near the
-limit by 2–4 %, and more where the object turns far in the grip; beyond the window the gel goes on without an end, and D, which markers show
+limit by 2–4 %, and more where the object turns far in the grip; beyond the window the gel goes on
+without an end, and D, which markers show
 of it, is taken to be k_s F_s wherever the contact is.
 """
 
