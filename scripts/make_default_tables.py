@@ -1,27 +1,29 @@
 """The tables that ship, through the calibration of any sensor, beside the sensors' YAML files.
 
-``python -m scripts.make_default_tables`` makes those of the virtual sensors again, and
-``python -m scripts.make_default_tables FOLDER`` those of real ones, from the presses in the folder
-``calib`` of the package ``taxim`` 1.4.1 (MIT; Si & Yuan 2022 and T. Schneider).
+``python -m scripts.make_default_tables`` makes that of the virtual sensor again, and
+``python -m scripts.make_default_tables NAME=PRESSES ...`` those of real ones, from the presses that
+``REAL`` names: a folder of pictures, or the package's ``dataPack.npz``.
 """
 
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
-from tacgen.calibrate.lookup.table_fit import calibrate, fit_lookup
+from tacgen.calibrate.lookup.score import TableScore, score_table
+from tacgen.calibrate.lookup.table_fit import Calibration, calibrate, fit_lookup
 from tacgen.contact.gel import gel_map_mm, pixel_centers_mm
 from tacgen.contact.indentation import contact_depth
 from tacgen.core.arrays import FloatArray
 from tacgen.core.records import Sensor
 from tacgen.core.resources import packaged
 from tacgen.optics.deform import deform
+from tacgen.optics.image_models import Response, nearest_quadratic
 from tacgen.optics.table import LookupTable, save_table
 from tacgen.optics.virtual_sensor import VirtualSensor
 from tacgen.presses.press_folder import read_presses
@@ -30,13 +32,28 @@ from tacgen.presses.screening import usable_presses
 from tacgen.sensor.description import load_sensor
 from validation.optics.sampled_table import with_reference
 
-SENSORS = ("virtual_gelsight", "gelsight_mini", "digit")
-REAL = {"gelsight": 0.0295}
-"""Sensors with real presses, and mm/px of their pictures."""
-PRESS_RADIUS_MM = 2.0
-"""Of Taxim's ball."""
-SMALL = (24, 48, 13)
-"""Nodes of slope, of direction and along the longer side of a table that ships."""
+VIRTUAL = "virtual_gelsight"
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Real presses whose licence allows to ship what is fitted to them."""
+
+    presses: str
+    """Whose they are, at which state."""
+    license: str
+    ball_radius_mm: float
+
+
+REAL = {
+    "gelsight": Source("the package taxim 1.4.1, calib/gelsight", "MIT", 2.0),
+    "digit": Source("vocdex/Taxim at 4d65458, data/11_14_2022/sphere2", "MIT", 3.0),
+    "gelsight_mini": Source("FabPrez/Taxim at 580824b, gsmini_ball5.0", "MIT", 2.5),
+}
+SMALL = (16, 32)
+"""Nodes of slope and direction of a table that ships, half of the fit's: 0.15 grey levels."""
+BACKGROUND_STEP_GREY, RESPONSE_STEP_GREY = 0.5, 0.25
+"""What its numbers are rounded to: errors of 0.14 and 0.07 grey levels, in a third of the bytes."""
 BALLS_MM = ((2.0, 1.1), (2.5, 0.9), (4.0, 0.9))
 """Radius and depth of the presses; the steepest slope of the first is 63°."""
 PRESSES_PER_BALL = 16
@@ -110,67 +127,72 @@ def make_default_table(sensor: Sensor) -> LookupTable:
     return with_reference(small, rest_mm, virtual.grey_levels(rest_mm))
 
 
-def real_presses(name: str, calib: Path) -> PressImages:
-    """The presses of a real sensor, at the resolution of the one that ships."""
-    sensor, scale = load_sensor(name, needs_table=False), REAL[name]
+def real_presses(name: str, path: Path) -> PressImages:
+    """The presses at ``path`` of a real sensor, with the scale and the dome of its YAML file."""
+    sensor, source = load_sensor(name, needs_table=False), REAL[name]
     presses = read_presses(
-        calib / name / "dataPack.npz", mm_per_px=scale, ball_radius_mm=PRESS_RADIUS_MM
+        path, mm_per_px=sensor.mm_per_px, ball_radius_mm=source.ball_radius_mm
     )
-    by = presses.shape_px[0] // sensor.height_px
-    rows, columns = sensor.shape_px
-
-    def binned(images: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        blocks = images.reshape(-1, rows, by, columns, by, 3)
-        return np.rint(blocks.mean(axis=(2, 4))).astype(np.uint8)
-
-    return replace(
-        presses,
-        images=binned(presses.images),
-        background=binned(presses.background[None])[0],
-        center_px=(presses.center_px + 0.5) / by - 0.5,
-        radius_px=presses.radius_px / by,
-        mm_per_px=scale * by,
-        dome_radius_mm=sensor.dome_radius_mm,
-        sensor=name,
-    )
+    return usable_presses(replace(presses, dome_radius_mm=sensor.dome_radius_mm, sensor=name))
 
 
-def make_real_table(name: str, calib: Path) -> LookupTable:
-    """The table of the presses of a real sensor, made small."""
-    presses = usable_presses(real_presses(name, calib))
-    table = calibrate(presses).table
+def made_small(table: LookupTable) -> LookupTable:
+    """The same on fewer nodes and in rounded numbers: as it ships."""
     assert table.response is not None
-    spread = [np.percentile(presses.center_px[:, k], (0, 100)).round() for k in (0, 1)]
-    steepest = np.degrees(table.max_slope_rad)
-    note = (
-        "pressed at columns {:.0f} to {:.0f}, rows {:.0f} to {:.0f}".format(*spread[0], *spread[1])
-        + f", slopes up to {steepest:.0f} degrees; beyond that it extrapolates"
-    )
-    shape = table.response.shape
-    n_slope, n_direction, n_columns = SMALL
-    n_rows = max(2, round(n_columns * shape[2] / shape[3]))
-    sizes = (n_slope, n_direction, n_rows, n_columns)
-    at = [np.linspace(0, n - 1, size) for n, size in zip(shape, sizes, strict=False)]
-    at[1] = np.arange(n_direction) * shape[1] / n_direction  # directions wrap around
-    closed = np.concatenate([table.response, table.response[:, :1]], axis=1)
-    background = np.round(table.background * 16) / 16
+    shape, (n_slope, n_direction) = table.response.shape, SMALL
+    at = [np.linspace(0, shape[0] - 1, n_slope), np.arange(n_direction) * shape[1] / n_direction]
+    closed = np.concatenate([table.response, table.response[:, :1]], axis=1)  # directions wrap
+    response = _rounded(resampled(closed, at), RESPONSE_STEP_GREY)
+    model = Response(response, table.max_slope_rad)
+    quadratic = nearest_quadratic(model, table.max_slope_rad, n_slope, n_direction)
     return replace(
         table,
-        background=background.astype(np.float32),
-        coefficients=table.coefficients.astype(np.float16).astype(np.float32),
-        response=resampled(closed, at),
-        contact=table.contact
-        and replace(table.contact, change=resampled(table.contact.change, at[2:])),
+        background=_rounded(table.background, BACKGROUND_STEP_GREY),
+        coefficients=quadratic.astype(np.float16).astype(np.float32),
+        response=response,
+    )
+
+
+def heldout_score(found: Calibration) -> TableScore:
+    """Of the small tables of the folds, each on the presses that were held out of it."""
+    presses = found.presses.presses
+    scores = [
+        iter(score_table(made_small(table), presses.select(found.folds == fold)).presses)
+        for fold, table in zip(np.unique(found.folds), found.fold_tables, strict=True)
+    ]
+    return TableScore(tuple(next(scores[k]) for k in found.folds.tolist()), presses.n_experiments)
+
+
+def make_real_table(name: str, path: Path) -> LookupTable:
+    """The table of the presses of a real sensor, made small, with its own held-out error."""
+    found = calibrate(real_presses(name, path))
+    presses, source, table = found.presses.presses, REAL[name], made_small(found.table)
+    heldout = heldout_score(found).as_dict()
+    del heldout["images"]
+    left, top, right, bottom = [
+        *presses.center_px.min(axis=0).round(), *presses.center_px.max(axis=0).round()
+    ]  # fmt: skip
+    note = (
+        f"pressed at columns {left:.0f} to {right:.0f}, rows {top:.0f} to {bottom:.0f}, "
+        f"slopes up to {np.degrees(table.max_slope_rad):.0f} degrees; beyond that it extrapolates"
+    )
+    return replace(
+        table,
         sensor=name,
         provenance={
             **table.provenance,
-            "source": f"{len(presses)} real ball presses of the package taxim 1.4.1",
-            "license": "MIT",
-            "date": "2026-11-27",
-            "command": "python -m scripts.make_default_tables FOLDER",
+            "heldout": heldout,
+            "source": f"{len(presses)} real ball presses of {source.presses}",
+            "license": source.license,
+            "date": "2026-11-28",
+            "command": f"python -m scripts.make_default_tables {name}=PRESSES",
             "note": note,
         },
     )
+
+
+def _rounded(values: NDArray[np.float32], step: float) -> NDArray[np.float32]:
+    return np.asarray(np.round(values / step) * step, np.float32)
 
 
 def resampled(values: NDArray[np.float32], at: list[FloatArray]) -> NDArray[np.float32]:
@@ -180,20 +202,18 @@ def resampled(values: NDArray[np.float32], at: list[FloatArray]) -> NDArray[np.f
     return np.asarray(RegularGridInterpolator(axes, values)(points), np.float32)
 
 
-def main(folder: Path, calib: Path | None) -> None:
-    """Write the tables of the virtual sensors into ``folder``, or those of the real ones."""
-    if calib is not None:
-        for name in REAL:
-            path = folder / f"{name}.table.npz"
-            save_table(make_real_table(name, calib), path)
-            sys.stderr.write(f"{path}\n")
-        return
-    for name in SENSORS:
+def main(given: list[str]) -> None:
+    """Write the virtual sensor's table, or those of ``given`` as NAME=PRESSES."""
+    folder = packaged("recipes") / "sensors"
+    for pair in given or [VIRTUAL]:
+        name, _, presses = pair.partition("=")
         path = folder / f"{name}.table.npz"
-        save_table(make_default_table(load_sensor(name, needs_table=False)), path)
+        if presses:
+            save_table(make_real_table(name, Path(presses)), path)
+        else:
+            save_table(make_default_table(load_sensor(name, needs_table=False)), path)
         sys.stderr.write(f"{path}\n")
 
 
 if __name__ == "__main__":
-    given = sys.argv[1:]
-    main(packaged("recipes") / "sensors", Path(given[0]) if given else None)
+    main(sys.argv[1:])
