@@ -130,9 +130,7 @@ def make_default_table(sensor: Sensor) -> LookupTable:
 def real_presses(name: str, path: Path) -> PressImages:
     """The presses at ``path`` of a real sensor, with the scale and the dome of its YAML file."""
     sensor, source = load_sensor(name, needs_table=False), REAL[name]
-    presses = read_presses(
-        path, mm_per_px=sensor.mm_per_px, ball_radius_mm=source.ball_radius_mm
-    )
+    presses = read_presses(path, mm_per_px=sensor.mm_per_px, ball_radius_mm=source.ball_radius_mm)
     return usable_presses(replace(presses, dome_radius_mm=sensor.dome_radius_mm, sensor=name))
 
 
