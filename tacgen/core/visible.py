@@ -46,4 +46,4 @@ def visible_share(
     ``VISIBLE.contact_share`` and more: it shows a contact.
     """
     limit = max(VISIBLE.change_grey, VISIBLE.noise_sigmas * noise_grey)
-    return int(_count_changed(rgb, at_rest, limit)) / (rgb.shape[0] * rgb.shape[1])
+    return float(_count_changed(rgb, at_rest, limit)) / (rgb.shape[0] * rgb.shape[1])

@@ -5,7 +5,7 @@ from functools import lru_cache
 import numpy as np
 
 from tacgen.core.arrays import FloatArray
-from tacgen.core.records import Mesh
+from tacgen.core.records import ContactFrame, ContactPatch, Mesh
 from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N
 from tacgen.core.visible import VISIBLE, visible_share
 from tacgen.optics import load_table
@@ -17,6 +17,7 @@ from tacgen.sensor.tactile_pad import Imprint, TactilePad, mounted
 
 SENSORS = ("gelsight_mini", "digit", "gelsight")
 """By which suggested grasps are judged; a flat gel first, which shows least."""
+USUAL_SENSOR = "digit"  # its dome lies between the others', and so does the moment that it holds
 
 
 def is_shown(surface: Mesh, y_mm: float, z_mm: float, force_n: float) -> bool:
@@ -38,10 +39,21 @@ def is_shown(surface: Mesh, y_mm: float, z_mm: float, force_n: float) -> bool:
     return True
 
 
+def usual_patch(surface: Mesh, frame: ContactFrame) -> ContactPatch:
+    """Where the gel of ``USUAL_SENSOR`` presses on the surface, by the published k_n."""
+    pad, _ = _pad_and_rest(USUAL_SENSOR)
+    load = GelLoad(volume_mm3=PUBLISHED_K_N_MM3_PER_N * frame.force_normal_n)
+    return pad.indenter.patch(surface, frame.pose_gel_object, load)
+
+
 def common_window_mm() -> FloatArray:
     """Width and height (2,) of the gel that all ``SENSORS`` see, about the pad's middle."""
     seen = [pad.sensor for pad, _ in map(_pad_and_rest, SENSORS)]
-    return np.min([[s.width_px * s.mm_per_px, s.height_px * s.mm_per_px] for s in seen], axis=0)
+    sizes_mm: FloatArray = np.array(
+        [(s.width_px * s.mm_per_px, s.height_px * s.mm_per_px) for s in seen]
+    )
+    smallest_mm: FloatArray = sizes_mm.min(axis=0)
+    return smallest_mm
 
 
 @lru_cache(maxsize=len(SENSORS))

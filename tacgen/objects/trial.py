@@ -3,18 +3,17 @@
 import itertools
 from bisect import bisect_left
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 
 from tacgen.core.errors import PhysicsError
 from tacgen.core.records import GraspConfig, GraspObject
 from tacgen.objects.grasp_ranges import FORCES_N, largest_grid
-from tacgen.objects.showing import is_shown
+from tacgen.objects.showing import usual_patch, is_shown
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
 
-SHORT_LIFT = {"lift_mm": 40.0, "success_rise_mm": 30.0}
-"""Decides between held and slipped as the whole lift does, in half the time."""
-SUCCESSES = (0.35, 0.65)  # of the suggested grasps: a sensor of another gel moves some thresholds
+SUCCESSES = (0.4, 0.6)  # of the suggested grasps: a sensor of another gel moves some thresholds
 VISIBLE_SHARE = 0.92  # of the suggested grasps; with this many, more places count
 WINDOWS = (5, 6, 7, 8)  # how many forces, a quarter apart: from just failing to firm
 
@@ -34,11 +33,15 @@ def tried_ranges(obj: GraspObject) -> tuple[Ranges, list[str]]:
     holds, reasons = dict[Place, int](), list[str]()
     try:
         with GraspSimulator() as simulator:
-            settings = PhysicsSettings(engine=simulator.engine, **SHORT_LIFT)
+            # Decides as the whole lift does, in half the time.
+            settings = PhysicsSettings(engine=simulator.engine, lift_mm=40.0, success_rise_mm=30.0)
+            patch_of = partial(usual_patch, obj.surface)
 
             def held(force_n: float, y_mm: float, z_mm: float) -> bool:
                 config = GraspConfig(0, obj.name, force_n, 0.0, y_mm, z_mm)
-                trace = run_grasp(simulator, obj, config, settings, frames=FrameRequest())
+                trace = run_grasp(
+                    simulator, obj, config, settings, frames=FrameRequest(), patch_of=patch_of
+                )
                 if trace.label < 0:
                     raise _NotExecuted(trace.reason)
                 return trace.label == 1
