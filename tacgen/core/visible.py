@@ -13,10 +13,10 @@ class VisibleRules:
     """From when on a change is visible."""
 
     change_grey: float = 16.0
-    """By which a channel of a pixel differs: a sixteenth of its range, which an eye finds in a
-    picture beside that of the gel at rest; ten times the rounding and noise of real sensors."""
+    """By which a channel of a pixel differs: a sixteenth of its range, far above the noise of the
+    shipped sensors, which is 1 or less."""
     noise_sigmas: float = 4.0
-    """Of the camera's noise, where that is more: the noise itself reaches 3.7 (core/noise.py)."""
+    """Of the camera's noise, where that is more: noise alone reaches 3.7 (``core/noise.py``)."""
     contact_share: float = 0.015
     """Of the picture's pixels, from which on it shows a contact: a round patch of a sixth of the
     picture's shorter side. Less is found by who looks for it; 0 is nothing to see."""
@@ -46,4 +46,4 @@ def visible_share(
     ``VISIBLE.contact_share`` and more: it shows a contact.
     """
     limit = max(VISIBLE.change_grey, VISIBLE.noise_sigmas * noise_grey)
-    return float(_count_changed(rgb, at_rest, limit)) / (rgb.shape[0] * rgb.shape[1])
+    return float(_count_changed(rgb, at_rest, limit) / rgb[..., 0].size)

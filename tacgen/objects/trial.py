@@ -10,7 +10,7 @@ import numpy as np
 from tacgen.core.errors import PhysicsError
 from tacgen.core.records import GraspConfig, GraspObject
 from tacgen.objects.grasp_ranges import FORCES_N, largest_grid
-from tacgen.objects.showing import usual_patch, is_shown
+from tacgen.objects.showing import is_shown, usual_patch
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
 
 SUCCESSES = (0.4, 0.6)  # of the suggested grasps: a sensor of another gel moves some thresholds
