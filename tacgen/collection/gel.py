@@ -3,14 +3,12 @@
 import math
 from dataclasses import replace
 
-import numpy as np
-
 from tacgen.collection.recipe import Contact, Recipe
 from tacgen.contact.law import USUAL_PITCH_MM, ContactLaw, load_law
 from tacgen.core.records import ContactFrame, ContactPatch, Estimate, Mesh, Sensor
 from tacgen.sensor.description import load_sensor
 from tacgen.sensor.gel_response import gel_loads
-from tacgen.sensor.tactile_pad import Indenter
+from tacgen.sensor.tactile_pad import Indenter, mounted
 
 SETTLED_PRESS = 1_000_000
 """The number of a simulated grasp on its gel: the first presses, which differ, are long past."""
@@ -35,13 +33,8 @@ def contact_law(contact: Contact) -> ContactLaw:
 def mounted_sensor(recipe: Recipe, *, needs_table: bool = True) -> Sensor:
     """The sensor of a recipe on its gripper: its gel, if nothing else is said, is the pad."""
     sensor = load_sensor(recipe.sensor, needs_table=needs_table)
-    if sensor.gel_size_mm:
-        return sensor
-    gripper = recipe.robot.spec().gripper
-    size_mm = np.array([gripper.pad.depth_mm, gripper.pad.width_mm, gripper.pad.height_mm])
     pad = recipe.physics_settings.sensing_pads[0]
-    width_mm, height_mm, _ = np.abs(size_mm @ gripper.side(pad).gel_axes).tolist()
-    return replace(sensor, gel_size_mm=(width_mm, height_mm))
+    return mounted(sensor, recipe.robot.spec().gripper, pad)
 
 
 def gel_patch(

@@ -26,7 +26,7 @@ from tacgen.objects.grasp_ranges import (
     facet_note,
     graspable,
     largest_grid,
-    suggest_ranges,
+    suggest_places,
     suggest_yaw,
     touch_error_mm,
     touch_errors,
@@ -34,7 +34,7 @@ from tacgen.objects.grasp_ranges import (
 from tacgen.objects.load import load_object, write_meshes
 from tacgen.objects.mesh_import import UP_AXES, import_surface, placed
 from tacgen.objects.meshes import mass_properties, volume_mm3
-from tacgen.objects.trial import executed_ranges
+from tacgen.objects.trial import tried_ranges
 from tacgen.physics.frames import rotation_about_z
 from tacgen.physics.rest import angle_deg, toppled
 
@@ -106,14 +106,16 @@ def add_object(
         surface = placed(surface, turn)
         notes.insert(0, _rest_note(turn))
     yaw_rad, surface, yaw_notes = _turned(surface, yaw_rad)
-    ranges, range_notes = suggest_ranges(surface, mass_kg=mass_kg, friction=friction)
+    properties = mass_properties([(surface, 1.0)], mass_kg)
+    ranges, range_notes = suggest_places(
+        surface, mass_kg=mass_kg, center_y_mm=float(properties[0][1]), friction=friction
+    )
     on_step(STEPS[1])
     parts, errors = _cut(surface, ranges)
     ranges, off_notes = _without_places_far_off(mesh_path, ranges, errors)
     range_notes += off_notes
     on_step(STEPS[2])
-    properties = mass_properties([(surface, 1.0)], mass_kg)
-    ranges, tried = executed_ranges(
+    ranges, tried = tried_ranges(
         GraspObject(
             name=name,
             surface=surface,

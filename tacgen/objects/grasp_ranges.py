@@ -1,6 +1,7 @@
 """Grasp ranges for an object about which no more is known than its shape, mass and friction."""
 
 import itertools
+import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -9,14 +10,15 @@ import trimesh
 
 from tacgen.core.arrays import FloatArray
 from tacgen.core.records import Mesh
-from tacgen.core.units import STANDARD_GRAVITY_M_S2
+from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N, STANDARD_GRAVITY_M_S2
 from tacgen.objects.shading import depth_view, view_axes
+from tacgen.objects.showing import common_window_mm, is_shown
 from tacgen.physics.gripper import default_gripper
+from tacgen.physics.margins import dome_patch, torsion_arm_mm
 from tacgen.physics.settings import PhysicsSettings
 from tacgen.physics.world import ball_of
 
 MARGIN_MM = 5.0  # to either side between open pads and the object
-MIN_FORCE_N = 1.0  # below it light objects slip
 GEL_REACH_MM = 0.5  # indentation of a flat face at a moderate force; a gel is 2 to 4 mm thick
 RASTER_MM = 0.5  # of the views from a pad
 TOUCH_RASTER_MM = 0.2  # a touch is found to half of it
@@ -27,36 +29,124 @@ FACET_ANGLES_DEG = (3.0, 40.0)
 """Smaller angles are hardly seen; larger ones are edges of the object, as of an octagon (45°)."""
 FACET_WIDTH_MM = 0.5  # the shipped objects' facets where pads touch
 FACET_AREA_SHARE = 0.1  # a tenth of the surface: less is a rounded edge
-THRESHOLD_SHARES = (0.4, 0.7, 1.0, 1.4, 2.0, 3.0, 4.0)
-"""Shares of the least holding force: from certain failure to certain success."""
+FORCES_N = (
+    1.0,
+    1.25,
+    1.6,
+    2.0,
+    2.5,
+    3.2,
+    4.0,
+    5.0,
+    6.3,
+    8.0,
+    10.0,
+    12.5,
+    16.0,
+    20.0,
+    25.0,
+    32.0,
+    40.0,
+)
+"""Preferred numbers (ISO 3, R10), from below what a picture shows to the most of the gripper."""
+SHARES = tuple(0.7 * 1.4**k for k in range(12))
+"""Of the least force that holds, by which places are judged: from just failing to very firm."""
+_ARM_MM = torsion_arm_mm(
+    dome_patch(10.0, dome_radius_mm=DOME_RADIUS_MM, k_n_mm3_per_n=PUBLISHED_K_N_MM3_PER_N)
+)
+"""By which pads hold a moment: mg/(2μ) √(1 + (y/arm)²) holds y beside the centre of mass, by the
+ellipsoid of ``torsion_factor``. It grows slowly with the force, by its fourth root."""
+RIM_MM = 3.0  # from a pad's middle to an edge: inside the window, and the face under the middle
+CANDIDATES = 9  # of each axis, of which those are taken that show something
+ENOUGH_PLACES = 5
+MOST_VALUES = {"y_mm": 5, "z_mm": 3}  # of the candidates that are tried, which takes seconds
+FIRM_N = 25.0  # what a grasp may need that is far from the centre of mass
+BODY_SHARE = 0.3  # the handle of a mug is a tenth as thick, that of a hammer as thick as its head
+VIEW_MARGIN_MM = 1.0  # of a first touch from the edge of what is seen
 
 
-def suggest_ranges(
-    surface: Mesh, *, mass_kg: float, friction: float
+def suggest_places(
+    surface: Mesh, *, mass_kg: float, center_y_mm: float, friction: float
 ) -> tuple[dict[str, tuple[float, ...]], list[str]]:
-    """Forces about the slip threshold mg/(2μ), and places where both pads meet the object.
+    """Places at which both pads meet the object's body and pictures show the contact, and notes.
 
-    Returns the values by axis, and notes on what could not be satisfied.
+    Those are kept of which the pictures already show a grasp that just fails, or else somewhat
+    stronger ones, until there are ``ENOUGH_PLACES``: a face larger than the window shows nothing
+    but by an edge or a rim. The forces are all that are to be tried.
     """
-    notes, gripper = [], default_gripper()
-    most_n = gripper.force_range_n[1]
-    threshold = mass_kg * STANDARD_GRAVITY_M_S2 / (2 * max(friction, 0.05))
-    clipped = np.clip([share * threshold for share in THRESHOLD_SHARES], MIN_FORCE_N, most_n)
-    forces = tuple(dict.fromkeys(float(f"{force:.2g}") for force in clipped))
-    if threshold > most_n:
-        notes.append(f"slips below {threshold:.0f} N, more than the gripper's {most_n:.0f} N")
+    slip_n = mass_kg * STANDARD_GRAVITY_M_S2 / (2 * max(friction, 0.05))
+    reach_mm = _ARM_MM * math.sqrt(max((FIRM_N / slip_n) ** 2 - 1.0, 0.0))
+    sides, middle = _sides(surface, center_y_mm, reach_mm)
+    ranges = {"force_n": FORCES_N, "x_mm": (0.0,), "y_mm": sides, "z_mm": _heights(surface)}
+    places = set(itertools.product(sides, ranges["z_mm"]))
+    met = {place for place in places if _meets_window(surface, *place)}
+    if not met:
+        note = "no place at which the pads meet it across x; set grasp_ranges by hand"
+        return {**ranges, "y_mm": (middle,)}, [note]
+    needed_n = {y: slip_n * math.hypot(1.0, (y - center_y_mm) / _ARM_MM) for y in sides}
+    shown, kept, notes = set[tuple[float, float]](), None, list[str]()
+    for share in SHARES:
+        shown |= {(y, z) for y, z in met - shown if is_shown(surface, y, z, share * needed_n[y])}
+        heights = tuple(z for z in ranges["z_mm"] if (middle, z) in shown)
+        kept = heights and largest_grid({**ranges, "z_mm": heights}, places - shown)
+        if kept and _count(kept) >= ENOUGH_PLACES:
+            break
+    kept = kept or largest_grid(ranges, places - shown)
+    if not kept:
+        notes.append("its pictures will show little: no edge or curve of it is where pads meet it")
+        kept = largest_grid(ranges, places - met) or ranges
+    return {axis: _thinned(values, MOST_VALUES.get(axis)) for axis, values in kept.items()}, notes
 
+
+def _count(ranges: Mapping[str, tuple[float, ...]]) -> int:
+    """How many places there are, of at most ``MOST_VALUES`` an axis."""
+    return math.prod(min(len(ranges[axis]), most) for axis, most in MOST_VALUES.items())
+
+
+def _heights(surface: Mesh) -> tuple[float, ...]:
+    """Heights of the pads' middle, evenly up to where the top is in view."""
+    lowest_mm, top_mm = default_gripper().lowest_mm, float(surface.vertices_mm[:, 2].max())
+    return _distinct(np.linspace(lowest_mm, max(lowest_mm, top_mm - RIM_MM), CANDIDATES))
+
+
+def _sides(surface: Mesh, center_y_mm: float, reach_mm: float) -> tuple[tuple[float, ...], float]:
+    """Sides over the body, to ``RIM_MM`` from its ends, and of them that of its thickest part.
+
+    The body is where it is at least ``BODY_SHARE`` as thick along x as at its thickest; of it, what
+    is within ``reach_mm`` of the centre of mass.
+    """
     low, high = surface.vertices_mm.min(axis=0), surface.vertices_mm.max(axis=0)
-    heights = _distinct(
-        max(gripper.lowest_mm, float(share * high[2])) for share in (0.25, 0.5, 0.75)
-    )
-    sides = _distinct(float(share * (high[1] - low[1]) / 2) for share in (-0.4, 0.0, 0.4))
-    z_mm = tuple(z for z in heights if graspable(surface, 0.0, z))
-    if not z_mm:
-        notes.append("no height at which the pads meet it across x; set grasp_ranges by hand")
-        z_mm = heights
-    y_mm = tuple(y for y in sides if all(graspable(surface, y, z) for z in z_mm)) or (0.0,)
-    return {"force_n": forces, "x_mm": (0.0,), "y_mm": y_mm, "z_mm": z_mm}, notes
+    size_px = (max(1, int(high[2] - low[2])), max(1, int(high[1] - low[1])))  # of 1 mm
+    center_mm = (low + high) / 2
+    views = [depth_view(surface, view_axes(a, 0.0), center_mm, size_px, 1.0)[0] for a in (0, 180)]
+    thick_mm = (views[0] + views[1][:, ::-1]).max(axis=0)
+    thick_mm[thick_mm > _widest_mm()] = 0.0
+    y_mm = center_mm[1] + np.arange(size_px[1]) - (size_px[1] - 1) / 2
+    thickest_mm = np.median(y_mm[thick_mm >= thick_mm.max() - GEL_REACH_MM])
+    body_mm = y_mm[thick_mm >= BODY_SHARE * thick_mm.max()]
+    within = center_y_mm - reach_mm, center_y_mm + reach_mm
+    middle_mm = float(np.clip(thickest_mm, *within))
+    first_mm = min(max(body_mm.min() + RIM_MM, within[0]), middle_mm)
+    last_mm = max(min(body_mm.max() - RIM_MM, within[1]), middle_mm)
+    steps = np.linspace(0.0, 1.0, CANDIDATES // 2 + 1)
+    sides = [middle_mm + steps * (end_mm - middle_mm) for end_mm in (first_mm, last_mm)]
+    return _distinct(np.sort(np.concatenate(sides))), _distinct([middle_mm])[0]
+
+
+def _meets_window(surface: Mesh, y_mm: float, z_mm: float) -> bool:
+    """Whether both pads meet the object there, within what all sensors see of the gel."""
+    if not graspable(surface, y_mm, z_mm):
+        return False
+    half_mm = common_window_mm() / 2 - VIEW_MARGIN_MM
+    touches = [_touch_mm((surface,), azimuth_deg, y_mm, z_mm)[0] for azimuth_deg in (0.0, 180.0)]
+    return bool((np.abs([touch[1:] for touch in touches]) <= half_mm).all())
+
+
+def _thinned(values: tuple[float, ...], most: int | None) -> tuple[float, ...]:
+    """At most so many of the values, evenly, both ends among them."""
+    if most is None or len(values) <= most:
+        return values
+    return tuple(values[k] for k in np.linspace(0, len(values) - 1, most).round().astype(int))
 
 
 def suggest_yaw(surface: Mesh, heights_mm: Sequence[float]) -> float:
@@ -86,7 +176,7 @@ def _patch_mm2(surface: Mesh, azimuth_deg: float, z_mm: float) -> float:
     """Area within the gel's reach of a pad at that height; 0 if the object is too wide."""
     depth = _pad_view(surface, azimuth_deg, 0.0, z_mm)
     nearest = float(depth.max())
-    if not np.isfinite(nearest) or nearest > (default_gripper().stroke_mm - MARGIN_MM) / 2:
+    if not np.isfinite(nearest) or nearest > _widest_mm() / 2:
         return 0.0
     return float((depth >= nearest - GEL_REACH_MM).sum() * RASTER_MM**2)
 
@@ -113,8 +203,11 @@ def facet_note(surface: Mesh) -> str:
 def graspable(surface: Mesh, y_mm: float, z_mm: float) -> bool:
     """Whether both pads, centred there, meet the object and it fits between them."""
     reach = [_pad_view(surface, azimuth_deg, y_mm, z_mm).max() for azimuth_deg in (0.0, 180.0)]
-    widest_mm = default_gripper().stroke_mm - MARGIN_MM
-    return bool(np.isfinite(reach).all() and sum(reach) <= widest_mm)
+    return bool(np.isfinite(reach).all() and sum(reach) <= _widest_mm())
+
+
+def _widest_mm() -> float:
+    return default_gripper().stroke_mm - MARGIN_MM
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,15 +251,18 @@ def touch_error_mm(errors: Iterable[TouchError]) -> FloatArray:
 def largest_grid(
     ranges: Mapping[str, tuple[float, ...]], bad: Collection[tuple[float, float]]
 ) -> dict[str, tuple[float, ...]] | None:
-    """The ranges with the most places (y, z) of which none is ``bad``; None if all are."""
+    """The ranges with the most places (y, z) of which none is ``bad``; None if all are.
+
+    More values than ``MOST_VALUES`` of an axis count as so many.
+    """
     z_mm = ranges["z_mm"]
     grids = []
     for size in range(len(z_mm), 0, -1):
         for heights in itertools.combinations(z_mm, size):
             sides = tuple(y for y in ranges["y_mm"] if not {(y, z) for z in heights} & set(bad))
             grids.append((sides, heights))
-    y_mm, z_mm = max(grids, key=lambda grid: len(grid[0]) * len(grid[1]))
-    return {**ranges, "y_mm": y_mm, "z_mm": z_mm} if y_mm else None
+    kept = max(({**ranges, "y_mm": y, "z_mm": z} for y, z in grids), key=_count)
+    return kept if kept["y_mm"] else None
 
 
 def _as_collided(part: Mesh) -> Mesh:
@@ -202,4 +298,4 @@ def _pad_view(
 
 
 def _distinct(values: Iterable[float]) -> tuple[float, ...]:
-    return tuple(dict.fromkeys(round(value, 1) + 0.0 for value in values))
+    return tuple(dict.fromkeys(round(float(value), 1) + 0.0 for value in values))

@@ -1,44 +1,93 @@
 """Suggested grasps tried in the simulation before they are written."""
 
 import itertools
+from bisect import bisect_left
+from collections.abc import Mapping
+from functools import partial
+
+import numpy as np
 
 from tacgen.core.errors import PhysicsError
 from tacgen.core.records import GraspConfig, GraspObject
-from tacgen.objects.grasp_ranges import largest_grid
+from tacgen.objects.grasp_ranges import FORCES_N, largest_grid
+from tacgen.objects.showing import is_shown, usual_patch
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
 
-LIFT_MM = 20.0  # whether a grasp is executed is known before the lift
+SUCCESSES = (0.4, 0.6)  # of the suggested grasps: a sensor of another gel moves some thresholds
+VISIBLE_SHARE = 0.92  # of the suggested grasps; with this many, more places count
+WINDOWS = (5, 6, 7, 8)  # how many forces, a quarter apart: from just failing to firm
+
+Ranges = dict[str, tuple[float, ...]]
+Place = tuple[float, float]
 
 
-def executed_ranges(obj: GraspObject) -> tuple[dict[str, tuple[float, ...]], list[str]]:
-    """The largest grid of the object's ranges in which each place is executed, and notes.
+def tried_ranges(obj: GraspObject) -> tuple[Ranges, list[str]]:
+    """Of the object's ranges forces and places with both outcomes, and notes.
 
-    All stay where nothing is executed. Each place is tried with the largest and the least force.
+    At each place the least force that holds is searched for among ``FORCES_N``. A grid is taken
+    of which each place can be executed, and whose grasps are mixed, show their contact and are many
+    (in this order). All places stay where nothing is executed.
     """
     ranges = dict(obj.grasp_ranges)
-    forces = ranges["force_n"]
+    places = list(itertools.product(ranges["y_mm"], ranges["z_mm"]))
+    holds, reasons = dict[Place, int](), list[str]()
     try:
         with GraspSimulator() as simulator:
-            settings = PhysicsSettings(
-                engine=simulator.engine, lift_mm=LIFT_MM, success_rise_mm=LIFT_MM / 2
-            )
+            # Decides as the whole lift does, in half the time.
+            settings = PhysicsSettings(engine=simulator.engine, lift_mm=40.0, success_rise_mm=30.0)
+            patch_of = partial(usual_patch, obj.surface)
 
-            def problem(y_mm: float, z_mm: float) -> str:
-                """Why a grasp there is not executed; empty if it is."""
-                for force_n in (max(forces), min(forces)):  # the largest squeezes wedges out
-                    config = GraspConfig(0, obj.name, force_n, 0.0, y_mm, z_mm)
-                    trace = run_grasp(simulator, obj, config, settings, frames=FrameRequest())
-                    if trace.label < 0:
-                        return trace.reason
-                return ""
+            def held(force_n: float, y_mm: float, z_mm: float) -> bool:
+                config = GraspConfig(0, obj.name, force_n, 0.0, y_mm, z_mm)
+                trace = run_grasp(
+                    simulator, obj, config, settings, frames=FrameRequest(), patch_of=patch_of
+                )
+                if trace.label < 0:
+                    raise _NotExecuted(trace.reason)
+                return trace.label == 1
 
-            places = itertools.product(ranges["y_mm"], ranges["z_mm"])
-            found = {place: text for place in places if (text := problem(*place))}
+            for place in places:
+                try:
+                    holds[place] = bisect_left(FORCES_N, True, key=lambda f, p=place: held(f, *p))
+                except _NotExecuted as error:
+                    reasons.append(str(error))
     except PhysicsError as error:
         return ranges, [f"the suggested grasps were not tried: {error}"]
-    kept = largest_grid(ranges, found)
-    if kept is None:
-        first = next(iter(found.values()))
-        note = f"none of the suggested grasps can be executed ({first}); edit grasp_ranges"
+    if not holds:
+        note = f"none of the suggested grasps can be executed ({reasons[0]}); edit grasp_ranges"
         return ranges, [note]
-    return kept, []
+    shown = {
+        place: bisect_left(FORCES_N, True, key=lambda f, p=place: is_shown(obj.surface, *p, f))
+        for place in holds
+    }
+    return _mixed(ranges, holds, shown)
+
+
+class _NotExecuted(Exception):  # noqa: N818
+    """A grasp cannot be executed, for the reason that it says."""
+
+
+def _mixed(
+    ranges: Ranges, holds: Mapping[Place, int], shown: Mapping[Place, int]
+) -> tuple[Ranges, list[str]]:
+    """The grid of ``tried_ranges``; both mappings give the first of ``FORCES_N`` at a place."""
+    places = set(itertools.product(ranges["y_mm"], ranges["z_mm"]))
+    found = list[tuple[tuple[bool, float, int, float], Ranges, float]]()
+    for count, first in itertools.product(WINDOWS, range(len(FORCES_N) - min(WINDOWS) + 1)):
+        forces = np.arange(len(FORCES_N))[first : first + count]
+        for level in set(shown.values()):
+            grid = largest_grid(ranges, places - {p for p in holds if shown[p] <= level})
+            if grid is None:
+                continue
+            taken = list(itertools.product(grid["y_mm"], grid["z_mm"]))
+            successes = float(np.mean([forces >= holds[place] for place in taken]))
+            visible = float(np.mean([forces >= shown[place] for place in taken]))
+            is_mixed = SUCCESSES[0] <= successes <= SUCCESSES[1]
+            score = is_mixed, min(visible, VISIBLE_SHARE), len(taken), -abs(successes - 0.5)
+            chosen = {**grid, "force_n": FORCES_N[first : first + count]}
+            found.append((score, chosen, successes))
+    (is_mixed, *_), chosen, successes = max(found, key=lambda one: one[0])
+    if is_mixed:
+        return chosen, []
+    note = f"about {100 * successes:.0f} % of the suggested grasps hold; edit grasp_ranges"
+    return chosen, [note]

@@ -16,11 +16,10 @@ from tacgen.collection.recipe import Grid, load_recipe
 from tacgen.contact import ContactLaw, save_law
 from tacgen.core.errors import LearningError, RecipeError, TacgenError
 from tacgen.core.records import GraspConfig
-from tacgen.core.resources import find_object_folder, packaged
+from tacgen.core.resources import packaged
 from tacgen.dataset.export import export_dataset
 from tacgen.learning.scores import evaluation_lines, wilson_interval
 from tacgen.objects import load_object
-from tacgen.objects.description import read_description
 from tacgen.physics import FrameRequest, GraspSimulator, run_grasp
 from tacgen.physics.rest import topples_deg
 from tacgen.study.real_data import RealData
@@ -58,16 +57,11 @@ def test_the_paper_table_is_twelve_objects_by_four_ways_with_the_papers_figures(
     assert [row.published.real for row in study.rows[1:]] == [0.864, None, 0.907]
 
 
-def test_the_grids_of_the_table_are_force_and_one_axis_of_places_over_the_objects_own_ranges():
+def test_the_grids_of_the_table_are_force_and_one_axis_of_places():
     study = load_study("paper_table")
     for entry in study.data_recipe(study.rows[0], quick=False).objects:
-        own = read_description(find_object_folder(entry.name)).grasp_ranges.axes()
         assert len(entry.grid.force_n) == 601
         assert sorted((len(entry.grid.y_mm), len(entry.grid.z_mm))) == [1, 16]
-        assert max(entry.grid.force_n) <= max(own["force_n"])
-        for axis in ("y_mm", "z_mm"):
-            given = getattr(entry.grid, axis)
-            assert min(own[axis]) <= min(given) <= max(given) <= max(own[axis]), (entry.name, axis)
 
 
 def test_few_test_grasps_of_the_table_have_the_force_of_one_of_training():

@@ -1,0 +1,66 @@
+"""What the pads of the shipped sensors would show of a grasp, before it is simulated."""
+
+from functools import lru_cache
+
+import numpy as np
+
+from tacgen.core.arrays import FloatArray
+from tacgen.core.records import ContactFrame, ContactPatch, Mesh
+from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N
+from tacgen.core.visible import VISIBLE, visible_share
+from tacgen.optics import load_table
+from tacgen.physics.gripper import default_gripper
+from tacgen.physics.settings import PhysicsSettings
+from tacgen.sensor.description import load_sensor
+from tacgen.sensor.gel_response import GelLoad
+from tacgen.sensor.tactile_pad import Imprint, TactilePad, mounted
+
+SENSORS = ("gelsight_mini", "digit", "gelsight")
+"""By which suggested grasps are judged; a flat gel first, which shows least."""
+USUAL_SENSOR = "digit"  # its dome lies between the others', and so does the moment that it holds
+
+
+def is_shown(surface: Mesh, y_mm: float, z_mm: float, force_n: float) -> bool:
+    """Whether the pictures of all ``SENSORS`` show the contact of a pad centred there.
+
+    It is the pad that carries a sensor where one alone does. The gel is pressed on the surface as
+    it stands, by the published k_n.
+    """
+    (side, *_), gripper = PhysicsSettings().sensing_pads, default_gripper()
+    pose = np.eye(4)
+    pose[:3, :3] = gripper.side(side).gel_axes.T
+    pose[:3, 3] = pose[:3, :3] @ (0.0, -y_mm, -z_mm)
+    load = GelLoad(volume_mm3=PUBLISHED_K_N_MM3_PER_N * force_n)
+    for name in SENSORS:
+        pad, rest_rgb = _pad_and_rest(name)
+        rgb = pad.image(pad.press(surface, pose, load))
+        if visible_share(rgb, rest_rgb) < VISIBLE.contact_share:
+            return False
+    return True
+
+
+def usual_patch(surface: Mesh, frame: ContactFrame) -> ContactPatch:
+    """Where the gel of ``USUAL_SENSOR`` presses on the surface, by the published k_n."""
+    pad, _ = _pad_and_rest(USUAL_SENSOR)
+    load = GelLoad(volume_mm3=PUBLISHED_K_N_MM3_PER_N * frame.force_normal_n)
+    return pad.indenter.patch(surface, frame.pose_gel_object, load)
+
+
+def common_window_mm() -> FloatArray:
+    """Width and height (2,) of the gel that all ``SENSORS`` see, about the pad's middle."""
+    seen = [pad.sensor for pad, _ in map(_pad_and_rest, SENSORS)]
+    sizes_mm: FloatArray = np.array(
+        [(s.width_px * s.mm_per_px, s.height_px * s.mm_per_px) for s in seen]
+    )
+    smallest_mm: FloatArray = sizes_mm.min(axis=0)
+    return smallest_mm
+
+
+@lru_cache(maxsize=len(SENSORS))
+def _pad_and_rest(sensor: str) -> tuple[TactilePad, np.ndarray]:
+    """A sensor on the default gripper, and its picture at rest."""
+    gripper = default_gripper()
+    side = PhysicsSettings().sensing_pads[0]
+    found = mounted(load_sensor(sensor), gripper, side)
+    pad = TactilePad(found, load_table(found.table))
+    return pad, pad.image(Imprint()).copy()
