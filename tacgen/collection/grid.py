@@ -22,6 +22,7 @@ AXES = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
 Grids = Sequence[Mapping[str, Any]]
 """The grids of a recipe's objects, a record each."""
 MAX_GRASPS = 10_000_000  # years of one machine: a misspelt axis
+SAME_YAW_RAD = 0.005  # after a whole turn: π is also written as 3.14
 MAX_CANDIDATES = 4096  # of a large grid: far closer together than a batch's grasps
 
 Point = tuple[str, float, float, float, float, float]
@@ -141,7 +142,7 @@ def _grid_of(recipe: Recipe, entry: ObjectEntry) -> dict[str, Any]:
         msg = f"objects/{entry.name}: grasp force_n {problem}"
         raise RecipeError(msg)
     has_yaw = entry.grid and "yaw_rad" in own.model_fields_set
-    axes["yaw_rad"] = own.yaw_rad if has_yaw else common.yaw_rad
+    axes["yaw_rad"] = _turned_once(entry.name, own.yaw_rad if has_yaw else common.yaw_rad)
     size = int(np.prod([len(axis) for axis in axes.values()], dtype=float))
     if size > MAX_GRASPS:
         msg = f"the grid of {entry.name!r} has {size} grasps, more than {MAX_GRASPS}; thin it out"
@@ -153,6 +154,20 @@ def _grid_of(recipe: Recipe, entry: ObjectEntry) -> dict[str, Any]:
         )
     listed = {axis: list(values) for axis, values in axes.items()}
     return {"object": entry.object_name, **listed, "sample": sample}
+
+
+def _turned_once(name: str, yaw_rad: Sequence[float]) -> tuple[float, ...]:
+    """The angles without those that are others' after whole turns, the rounding of π aside."""
+    kept = list[float]()
+    for angle in yaw_rad:
+        turns = [(angle - other) / math.tau for other in kept]
+        if any(round(one) and abs(one - round(one)) * math.tau < SAME_YAW_RAD for one in turns):
+            print_once(
+                f"grid.yaw_rad of {name!r}: {angle:g} is a whole turn from another: left out"
+            )
+        else:
+            kept.append(angle)
+    return tuple(kept)
 
 
 def _scaled(

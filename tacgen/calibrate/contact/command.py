@@ -98,7 +98,7 @@ def calibrate_contact(
     if markers is not None:
         gel, tracks = load_tracks(markers, sensor, fit.log)
         data = field_data(tracks, gel, k_n.value)
-        field = fit_field(data, fit.shear.pooled if fit.shear else None)
+        field = fit_field(data, fit.law.k_s_mm_per_n if fit.shear else None)
         warnings = (*warnings, *tracks.warnings)
     fit = replace(fit, normal=replace(fit.normal, pooled=k_n), warnings=warnings)
     law = fit.law
