@@ -23,6 +23,7 @@ AXES = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
 Grids = Sequence[Mapping[str, Any]]
 """The grids of a recipe's objects, a record each."""
 MAX_GRASPS = 10_000_000  # years of one machine: a misspelt axis
+SAME_YAW_RAD = 0.005  # after a whole turn: π is also written as 3.14
 
 Point = tuple[str, float, float, float, float, float]
 """What identifies a grasp: its object and the values of ``AXES``."""
@@ -120,7 +121,8 @@ def _grid_of(recipe: Recipe, entry: ObjectEntry) -> dict[str, Any]:
         msg = f"objects/{entry.name}: grasp force_n {problem}; give grid.force_n in the recipe"
         raise RecipeError(msg)
     has_yaw = entry.grid and "yaw_rad" in own.model_fields_set
-    axes["yaw_rad"] = own.yaw_rad if has_yaw else common.yaw_rad
+    yaws = _turned_once(entry.name, own.yaw_rad if has_yaw else common.yaw_rad).values()
+    axes["yaw_rad"] = tuple(dict.fromkeys(yaws))
     size = int(np.prod([len(axis) for axis in axes.values()], dtype=float))
     if size > MAX_GRASPS:
         msg = f"the grid of {entry.name!r} has {size} grasps, more than {MAX_GRASPS}; thin it out"
@@ -163,6 +165,7 @@ def _listed(file: Path, recipe: Recipe, entry: ObjectEntry) -> dict[str, Any]:
             if (problem := problem_of(value))
         ]
     )
+    own = own.replace({"yaw_rad": _turned_once(entry.name, own["yaw_rad"].unique())})
     own = own.drop_duplicates(list(AXES))
     return {
         "object": entry.object_name,
@@ -207,6 +210,22 @@ def _read_list(file: Path, names: tuple[str, ...]) -> pd.DataFrame:
         ]
     )
     return table
+
+
+def _turned_once(name: str, yaw_rad: Sequence[float]) -> dict[float, float]:
+    """By angle: the first of them that is the same after whole turns, the rounding of π aside."""
+    first = dict[float, float]()
+    for angle in yaw_rad:
+        turns = {other: (angle - other) / math.tau for other in first.values()}
+        same = [
+            other
+            for other, one in turns.items()
+            if round(one) and abs(one - round(one)) * math.tau < SAME_YAW_RAD
+        ]
+        first[angle] = next(iter(same), angle)
+        if same and angle != same[0]:
+            print_once(f"the yaw_rad of {name!r}: {angle:g} is {same[0]:g} after a whole turn")
+    return first
 
 
 def _scaled(

@@ -113,7 +113,7 @@ class RunFolder:
         """
         try:
             self.root.mkdir(parents=True, exist_ok=True)
-            for name in plan["models"]:
+            for name in plan.get("models", ()):
                 refuse_other_page(self.model(name).report_path, "train")
             resumes = self.plan_path.is_file()
             if resumes:

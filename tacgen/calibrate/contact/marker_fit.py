@@ -216,8 +216,8 @@ def field_data(
     axes = min(found, key=lambda one: found[one][2])
     if found[axes][0] > 0 and found[axes][2] < rules.other_axes * left:
         msg = (
-            f"{tracks.path}: the shear field explains {max(share, 0.0):.0%} of the dots' motion as it "
-            f"is written, {found[axes][1]:.0%} where {axes}"
+            f"{tracks.path}: the shear field explains {max(share, 0.0):.0%} of the dots' motion as "
+            f"it is written, {found[axes][1]:.0%} where {axes}"
         )
         raise PressError(msg)
     return data
@@ -420,8 +420,8 @@ def fit_field(
         wrong = f"the log's own shear_x_mm and shear_y_mm give {log_k_s.value:.4g}"
     if wrong:
         msg = (
-            f"{data.tracks.path}: {wrong}: {found.sentence()}; check the dots' axes, press and frame "
-            "numbers, and forces, or calibrate without --markers"
+            f"{data.tracks.path}: {wrong}: {found.sentence()}; check the dots' axes, press and "
+            "frame numbers, and forces, or calibrate without --markers"
         )
         raise PressError(msg)
     return found
