@@ -47,7 +47,9 @@ SHORTER = {
     "train_single_small.yaml": (
         "extends: train_single_small\nper_object: false\ntraining: {epochs: 2}\n"
     ),
-    "rig_images.yaml": "extends: rig_images\nsensor: {name: gelsight_mini}\nschedule: {presses: 8}\n",
+    "rig_images.yaml": (
+        "extends: rig_images\nsensor: {name: gelsight_mini}\nschedule: {presses: 8}\n"
+    ),
 }
 """Recipes that a folder may have in place of the shipped ones of the same names."""
 

@@ -19,6 +19,8 @@ from tacgen.core.errors import DatasetError
 from tacgen.core.workers import Event
 from tacgen.dataset import Dataset
 from tacgen.dataset.gallery import Thumbnails
+from tacgen.optics import load_table
+from tacgen.sensor.description import load_sensor
 from tests.small_world import write_world
 
 pytestmark = pytest.mark.slow
@@ -99,6 +101,19 @@ def test_what_is_felt_follows_the_force(reference):
         for g in (weak, firm)
     ]
     assert changed[1] > 1.5 * changed[0] > 0
+
+
+def test_where_colours_come_from_is_said_at_the_start_and_in_the_gallery(
+    reference, world, tmp_path, capsys
+):
+    out = shutil.copytree(reference[0], tmp_path / "out")
+    recipe = load_recipe(world)
+    collect(recipe, out)
+    sensor = load_sensor(recipe.sensor)
+    origin = load_table(sensor.table).origin
+    first = capsys.readouterr().err.splitlines()[0]
+    assert first == f"tacgen: sensor {sensor.name}: colours from {origin}"
+    assert f"Colours from: {origin}." in (out / "index.html").read_text()
 
 
 def test_a_disk_that_is_full_once_the_shards_are_done_is_named(

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 import tacgen
 from tacgen.cli import app
 from tacgen.core.errors import TacgenError
+from tacgen.core.resources import packaged
 from tacgen.core.safe_io import read_rgb
 from tacgen.optics import load_table
 from tacgen.sensor.listing import add_sensor, sensor_rows, write_picture
@@ -24,9 +25,13 @@ def said(*words: str) -> str:
 
 def test_what_is_virtual_is_called_so():
     rows = {row["name"]: row for row in sensor_rows()}
+    assert "virtual sensor" in rows["virtual_gelsight"]["colors_from"]
     for name, count in {"gelsight": 48, "digit": 49, "gelsight_mini": 49}.items():
         assert f"{count} real ball presses of" in rows[name]["colors_from"]
-    assert "virtual sensor" in rows["virtual_gelsight"]["colors_from"]
+        assert json.loads(said("show", name, "--json"))["license"] == "MIT"
+        assert name in (packaged("recipes") / "sensors/NOTICE.txt").read_text()
+        table = Path(tacgen.Sensor(name).description.table)
+        assert table.stat().st_size <= 1.5e6
     listed = said("list").splitlines()
     assert len(listed) == 1 + len(rows)
     facts = json.loads(said("show", "gelsight", "--json"))

@@ -107,7 +107,7 @@ def test_depth_volume_and_force_of_a_ball(rig, reader, radius_mm, force_n):
 @pytest.mark.parametrize(("force_n", "steep"), [(0.5, False), (6.0, True)])
 def test_walls_steeper_than_the_table_are_reported(force_n, steep):
     """A flat punch's walls are vertical; the shipped table, made of balls, ends at 48°."""
-    sensor = tacgen.Sensor("gelsight_mini")
+    sensor = tacgen.Sensor("virtual_gelsight", dome_radius_mm=0.0)
     punch = trimesh.creation.cylinder(radius=3.0, height=4.0, sections=64)
     frame = sensor.render(punch, np.eye(4), force_n=force_n)
     found = read_image(frame.rgb, sensor)
@@ -125,7 +125,7 @@ def test_a_small_ball_deep_in_the_gel_is_right_or_a_lower_bound(
     force_n, is_steep, is_bound, tmp_path
 ):
     """Radius 2.5 mm: flanks up to 64° are continued from the bottom, steeper ones are said."""
-    sensor = tacgen.Sensor("gelsight_mini")
+    sensor = tacgen.Sensor("virtual_gelsight", dome_radius_mm=0.0)
     ball = trimesh.creation.icosphere(subdivisions=4, radius=2.5)
     cv2.imwrite(
         str(tmp_path / "a.png"), sensor.render(ball, np.eye(4), force_n=force_n).rgb[..., ::-1]
@@ -447,7 +447,7 @@ def test_volume_of_other_shapes(name):
         for ball, (radius, (x, y)) in zip(balls, mesh, strict=True):
             ball.apply_translation([x, y, -radius])
         mesh = trimesh.util.concatenate(balls)
-    sensor = tacgen.Sensor("gelsight_mini")
+    sensor = tacgen.Sensor("virtual_gelsight", dome_radius_mm=0.0)
     frame = sensor.render(mesh, np.eye(4), force_n=force_n)
     found = read_image(frame.rgb, sensor)
     assert found.volume_mm3 == pytest.approx(frame.volume_mm3, rel=0.06)

@@ -2,8 +2,9 @@
 
     python -m validation.optics.read_images [--presses 12] [--seed 11] [--table TABLE --sensor S]
 
-For the shipped virtual sensor (or ``--sensor``) the balls of ``rig_images_with_forces`` are pressed anew, each picture is
-read with the sensor's own table (or ``--table``) and the true k_n, and compared with the truth.
+For the virtual sensor (or ``--sensor``) the balls of ``rig_images_with_forces`` are pressed anew,
+each picture is read with its own table (or ``--table``) and the true k_n, and compared with the
+truth.
 """
 
 from __future__ import annotations
