@@ -17,6 +17,9 @@ def find_device(device: Any) -> wp.Device:
             return wp.get_device(name)
         msg = f"device = {name!r} is not here: Warp finds no CUDA GPU; give device='cpu'"
         raise SensorError(msg)
+    except OSError as error:
+        msg = f"Warp cannot keep what it compiles ({error}); set WARP_CACHE_PATH to another folder"
+        raise SensorError(msg) from None
     except (ValueError, RuntimeError):
         known = ", ".join(str(one) for one in wp.get_devices())
         msg = f"device = {name!r} is not here (Warp sees {known}); give one of these, such as 'cpu'"

@@ -16,6 +16,7 @@ from types import FrameType
 
 import typer
 
+import tacgen.core.caches  # before any library that has one
 import tacgen.core.rare_collections  # noqa: F401
 
 # Importing a module of commands registers them.

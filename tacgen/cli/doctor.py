@@ -89,12 +89,16 @@ def _gl_platform(name: str, platform: str, fix: str) -> Finding:
 
 
 def _compiled() -> Finding:
-    from tacgen.core.compiled import TEMPORARY_FOLDER
+    from tacgen.core.caches import TEMPORARY_FOLDER
+    from tacgen.core.compiled import KEEPS_NOTHING
 
-    if TEMPORARY_FOLDER:
-        fix = "set NUMBA_CACHE_DIR to a folder that can be written"
-        return Finding("compiled", False, False, "kept for one command only", fix)
-    return Finding("compiled", True, False, "kept from run to run")
+    lost = ["NUMBA_CACHE_DIR"] if KEEPS_NOTHING else []
+    if TEMPORARY_FOLDER and "WARP_CACHE_PATH" not in os.environ:
+        lost += ["WARP_CACHE_PATH"] if importlib.util.find_spec("warp") else []
+    if not lost:
+        return Finding("compiled", True, False, "kept from run to run")
+    fix = f"set {' and '.join(lost)} to a folder that can be written"
+    return Finding("compiled", False, False, "kept for one command only", fix)
 
 
 def _cores() -> Finding:

@@ -43,7 +43,9 @@ def objects_show(
 
 @common.objects_app.command("add")
 def objects_add(
-    mesh: Annotated[Path, Argument(help="Mesh (OBJ, STL, PLY, GLB), URDF, or folder of them.")],
+    mesh: Annotated[
+        Path, Argument(help="Mesh (OBJ, STL, PLY, GLB), URDF, or a folder or tree of them.")
+    ],
     mass_kg: Annotated[
         float, Option("--mass", help="Mass of the object, or of each in a folder, kg.")
     ],
@@ -77,13 +79,13 @@ def objects_add(
     """Import a mesh into ./objects; recipes can then name it."""
     from tacgen.core.errors import ObjectError
     from tacgen.core.progress import print_status
-    from tacgen.objects.add import add_object
+    from tacgen.objects.add import add_object, meshes_in
     from tacgen.objects.description import read_description
     from tacgen.objects.listing import facts_text, object_facts
-    from tacgen.objects.mesh_import import meshes_in
     from tacgen.objects.picture import write_picture
 
-    meshes, refused = meshes_in(mesh), list[str]()
+    (meshes, others), refused = meshes_in(mesh), list[str]()
+    common.note(f"{one}: another mesh of the same object, not used" for one in others)
     if len(meshes) > 1 and name is not None:
         msg = f"{mesh}: --name is for one mesh, the folder has {len(meshes)}; leave it out"
         raise ObjectError(msg)

@@ -199,7 +199,10 @@ def _device_of(choice: str) -> str:
         import warp as wp
 
         wp.config.log_level = wp.LOG_ERROR  # standard output is for results
-        problem = "" if wp.is_cuda_available() else "Warp finds no CUDA GPU"
+        try:
+            problem = "" if wp.is_cuda_available() else "Warp finds no CUDA GPU"
+        except OSError as error:
+            problem = f"Warp cannot keep what it compiles ({error}); set WARP_CACHE_PATH"
     if problem:
         print_once(f"optics.device = auto: images are drawn as without the key, since {problem}")
     return "none" if problem else "cuda"

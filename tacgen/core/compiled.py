@@ -1,54 +1,22 @@
-"""numba's compiler, and a folder for what it has compiled where it would find none."""
+"""numba's compiler; a warning where it can keep nothing that it has compiled."""
 
-import atexit
 import os
-import shutil
-import tempfile
 from pathlib import Path
 
+from tacgen.core.caches import TEMPORARY_FOLDER, can_write
 from tacgen.core.progress import LOG
 
-
-def _can_write(folder: Path) -> bool:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            return True
-    except OSError:
-        return False
-
-
-def _find_folder() -> str:
-    """The temporary folder that numba compiles to; empty where it has a lasting one.
-
-    Where numba can write neither beside the package nor into the user's cache, as in a container
-    with a read-only package and no home, it would refuse to compile.
-    """
-    if os.environ.get("NUMBA_CACHE_DIR"):
-        return ""
-    cache = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    beside = Path(__file__).parents[1] / "__pycache__"
-    if _can_write(beside) or _can_write(Path(cache) / "numba"):
-        return ""
-    folder = tempfile.mkdtemp(prefix="tacgen-compiled-")
-    os.environ["NUMBA_CACHE_DIR"] = folder  # for processes that this one starts, too
-    atexit.register(_remove, folder, os.getpid())
+_PACKAGE = Path(__file__).parents[1]
+KEEPS_NOTHING = bool(TEMPORARY_FOLDER) and not (
+    os.environ.get("NUMBA_CACHE_DIR") or can_write(_PACKAGE / "__pycache__")
+)
+if KEEPS_NOTHING:
     LOG.warning(
-        "nothing that is compiled can be kept (%s and %s cannot be written), so each start takes "
-        "some 20 s longer; set NUMBA_CACHE_DIR to a folder that can",
-        beside.parent,
-        cache,
+        "nothing that is compiled can be kept (neither %s nor the user's cache can be written), so "
+        "each start takes some 20 s longer; set NUMBA_CACHE_DIR to a folder that can",
+        _PACKAGE,
     )
-    return folder
-
-
-def _remove(folder: str, owner: int) -> None:
-    if os.getpid() == owner:  # not a copy of it
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-TEMPORARY_FOLDER = _find_folder()
 
 from numba import njit  # noqa: E402
 
-__all__ = ["TEMPORARY_FOLDER", "njit"]
+__all__ = ["KEEPS_NOTHING", "njit"]

@@ -12,8 +12,8 @@ from tacgen.core.optional_dependencies import missing_extra, require_extra
 
 __all__ = ["GraspEnv", "Normalized", "RegraspEnv"]
 _IDS = {"tacgen/Grasp-v0": ("GraspEnv", 2), "tacgen/Regrasp-v0": ("RegraspEnv", 100)}
-"""Class and ``max_episode_steps``: one more than an episode can have. Gymnasium calls the step that
-reaches it truncated, also where the episode has ended, and learners would then add to its reward."""
+"""Class and ``max_episode_steps``: one more than an episode can have. Gymnasium calls a step that
+reaches it truncated, even where the episode has ended, and learners then add to its reward."""
 
 
 def _register() -> None:

@@ -32,7 +32,7 @@ from tacgen.objects.grasp_ranges import (
     touch_errors,
 )
 from tacgen.objects.load import load_object, write_meshes
-from tacgen.objects.mesh_import import UP_AXES, import_surface, placed
+from tacgen.objects.mesh_import import FORMATS, UP_AXES, import_surface, placed
 from tacgen.objects.meshes import mass_properties, volume_mm3
 from tacgen.objects.trial import tried_ranges
 from tacgen.physics.frames import rotation_about_z
@@ -49,8 +49,10 @@ STEPS = ("reading", "cutting into convex parts", "trying the suggested grasps")
 NO_NAMES = {
     *("textured", "nontextured", "textured_simple", "model", "mesh", "object", "meshes"),
     *("untitled", "urdf", "visual", "collision", "google_16k", "google_64k", "google_512k"),
-    *("poisson", "tsdf", "clouds"),
+    *("poisson", "tsdf", "clouds", "merged_cloud", "textures", "materials"),
 }
+"""Files and folders in which meshes come, such as those of YCB and Google Scanned Objects."""
+FOLDERS_ABOVE = 3  # of a mesh, which may have its object's name
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,15 +237,47 @@ def _touch_note(off_mm: FloatArray, parts: tuple[Mesh, ...]) -> str:
 
 
 def object_name(mesh_path: Path) -> str:
-    """A folder name from a file name, or from its folder's where that says nothing.
+    """A folder name from a file name, or where that says nothing from the nearest folder's.
 
-    Raises ``ObjectError`` where neither does.
+    Raises ``ObjectError`` where none does.
     """
-    for text in (mesh_path.stem, mesh_path.parent.name):
-        stem = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_").lower()
-        if stem and stem not in NO_NAMES:
-            return stem
-    msg = f"{mesh_path}: its file name is no name for an object; pass --name"
+    if (named := _named_by(mesh_path)) is None:
+        msg = f"{mesh_path}: its file name is no name for an object; pass --name"
+        raise ObjectError(msg)
+    return named[0]
+
+
+def _named_by(mesh_path: Path) -> tuple[str, Path] | None:
+    """An object's name, and the file or folder that has it; None where none says anything."""
+    for place in (mesh_path, *mesh_path.parents[:FOLDERS_ABOVE]):
+        text = place.stem if place == mesh_path else place.name
+        name = re.sub(r"[^A-Za-z0-9]+", "_", text).strip("_").lower()
+        if name and name not in NO_NAMES:
+            return name, place
+    return None
+
+
+def meshes_in(path: Path) -> tuple[list[Path], list[Path]]:
+    """The mesh itself, or the mesh files of a folder by name, or else those of its folders.
+
+    Of those that a folder names together, such as ``025_mug/google_16k/textured.obj`` and
+    ``025_mug/poisson/textured.obj``, the first is taken; the second list has the others.
+
+    Raises ``ObjectError`` if a folder has none.
+    """
+    if not path.is_dir():
+        return [path], []
+    for files in (path.iterdir(), path.rglob("*")):
+        kinds = {one: one.suffix.lower().lstrip(".") for one in files}
+        meshes = [one for one, kind in kinds.items() if kind in FORMATS]
+        if meshes:
+            meshes.sort(key=lambda one: (FORMATS.index(kinds[one]), one))
+            first: dict[tuple[str, Path] | Path, Path] = {}
+            for mesh in meshes:
+                first.setdefault(_named_by(mesh) or mesh, mesh)
+            chosen = sorted(first.values())
+            return chosen, sorted(set(meshes) - set(chosen))
+    msg = f"{path}: holds no mesh file; give one with {', '.join(FORMATS)}"
     raise ObjectError(msg)
 
 

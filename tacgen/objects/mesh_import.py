@@ -74,21 +74,6 @@ def import_surface(
     return placed(mesh), notes
 
 
-def meshes_in(path: Path) -> list[Path]:
-    """The mesh itself, or the mesh files of a folder by name, or else those of its folders.
-
-    Raises ``ObjectError`` if a folder has none.
-    """
-    if not path.is_dir():
-        return [path]
-    for files in (path.iterdir(), path.rglob("*")):
-        found = sorted(one for one in files if one.suffix.lower().lstrip(".") in FORMATS)
-        if found:
-            return found
-    msg = f"{path}: holds no mesh file; give one with {', '.join(FORMATS)}"
-    raise ObjectError(msg)
-
-
 def placed(mesh: Mesh, rotation: FloatArray | None = None) -> Mesh:
     """The mesh, turned by ``rotation`` (3, 3), with the middle of its footprint at the origin."""
     vertices = mesh.vertices_mm if rotation is None else mesh.vertices_mm @ rotation.T

@@ -274,8 +274,7 @@ def _images_of(folder: PressFolder) -> PressImages:
         dot_pitch_mm=folder.dot_pitch_mm,
         warnings=tuple(similar_columns(folder.table.columns, PRESSES, listing)),
         sha256={
-            Path(name).name: sha256_of(folder.path / name)
-            for name in (*folder.sources, *names)
+            Path(name).name: sha256_of(folder.path / name) for name in (*folder.sources, *names)
         },
     )
 

@@ -42,9 +42,7 @@ def test_every_observation_has_an_axis_of_values_and_a_next_one(exported):
                 later = np.concatenate([observed[1:], observed[-1:]])
                 np.testing.assert_array_equal(demo["next_obs"][name], later)
             assert demo["obs/left_force_normal_n"].shape == (dataset.n_frames, 1)
-            np.testing.assert_array_equal(
-                demo["obs/left_force_normal_n"][:, 0], pad.force_normal_n
-            )
+            np.testing.assert_array_equal(demo["obs/left_force_normal_n"][:, 0], pad.force_normal_n)
             assert demo["obs/left_force_shear_n"].shape == (dataset.n_frames, 2)
             assert demo["obs/left_rgb"].shape == pad.rgb.shape
 
@@ -73,7 +71,7 @@ def robomimic(monkeypatch):
         parts[".transforms.functional"] = functional
         for name, module in parts.items():
             monkeypatch.setitem(sys.modules, f"torchvision{name}", module)
-    import robomimic.algo  # noqa: F401
+    import robomimic.algo
 
     return robomimic
 
@@ -100,9 +98,7 @@ def test_robomimic_trains_an_epoch_on_it(robomimic, exported, name):
     shapes = file_utils.get_shape_metadata_from_dataset(
         dataset_path=config.train.data, all_obs_keys=config.all_obs_keys
     )
-    model = algo_factory(
-        name, config, shapes["all_shapes"], shapes["ac_dim"], torch.device("cpu")
-    )
+    model = algo_factory(name, config, shapes["all_shapes"], shapes["ac_dim"], torch.device("cpu"))
     data, _ = train_utils.load_data_for_training(config, obs_keys=shapes["all_obs_keys"])
     loader = torch.utils.data.DataLoader(data, batch_size=4, shuffle=True)
     found = train_utils.run_epoch(model=model, data_loader=loader, epoch=1)

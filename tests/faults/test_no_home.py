@@ -40,4 +40,4 @@ def test_commands_compile_into_a_temporary_folder_and_say_so(tmp_path: Path) -> 
         assert done.returncode == 0, done.stderr
         assert done.stderr.count("set NUMBA_CACHE_DIR to a folder") == 1
     assert "set NUMBA_CACHE_DIR" in found["doctor"].stdout
-    assert list(temporary.glob("tacgen-compiled-*")) == []
+    assert list(temporary.glob("tacgen-cache-*")) == []

@@ -33,4 +33,4 @@ def test_other_angles_stay(axis):
 
 def test_what_is_left_out_is_said(capsys):
     assert len(yaws([0.25, 0.25 + 2 * np.pi])) == 1
-    assert "6.53319 is a whole turn from another: left out" in capsys.readouterr().err
+    assert "6.53319 is 0.25 after a whole turn" in capsys.readouterr().err

@@ -18,7 +18,7 @@ from tacgen.core.errors import ObjectError
 from tacgen.core.records import Mesh
 from tacgen.core.resources import find_object_folder
 from tacgen.objects import load_object
-from tacgen.objects.add import STEPS, add_object
+from tacgen.objects.add import STEPS, add_object, meshes_in, object_name
 from tacgen.objects.cutting import MAX_PART_VERTICES, convex_parts, cut_again
 from tacgen.objects.grasp_ranges import largest_grid, touch_error_mm, touch_errors
 from tacgen.objects.load import read_meshes
@@ -183,6 +183,37 @@ def test_grams_for_kilograms_are_refused():
 
 def test_a_file_name_that_names_nothing_asks_for_a_name():
     assert "pass --name" in refused(box(), "textured.obj")
+
+
+@pytest.mark.parametrize(
+    ("files", "names"),
+    [
+        (["025_mug/google_16k/textured.obj", "Big-Box/tsdf/textured.obj"], ["025_mug", "big_box"]),
+        (["A_Bin/meshes/model.obj", "cup/meshes/model.obj"], ["a_bin", "cup"]),
+        (["a/mug.obj", "b/mug.obj"], ["mug", "mug"]),
+        (["bowl/urdf/visual/mesh.stl"], ["bowl"]),
+    ],
+)  # fmt: skip
+def test_a_tree_s_meshes_have_the_nearest_name_that_says_something(tmp_path, files, names):
+    for file in files:
+        (tmp_path / "tree" / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "tree" / file).write_bytes(b"")
+    meshes, others = meshes_in(tmp_path / "tree")
+    assert [str(mesh.relative_to(tmp_path / "tree")) for mesh in meshes] == sorted(files)
+    assert sorted(map(object_name, meshes)) == sorted(names)
+    assert not others
+
+
+def test_of_an_object_s_meshes_one_is_taken(tmp_path):
+    folder = tmp_path / "ycb" / "025_mug"
+    files = ["clouds/merged_cloud.ply", "google_16k/nontextured.stl", "google_16k/textured.obj"]
+    files += ["poisson/textured.obj"]
+    for file in files:
+        (folder / file).parent.mkdir(parents=True, exist_ok=True)
+        (folder / file).write_bytes(b"")
+    meshes, others = meshes_in(tmp_path / "ycb")
+    assert meshes == [folder / "google_16k" / "textured.obj"]
+    assert others == sorted(folder / file for file in files if file != files[2])
 
 
 def test_an_existing_object_is_kept_unless_forced(own_folder):

@@ -6,6 +6,7 @@ empty folder, and returns a few words on what it wrote; one that can do without 
 ``images`` too.
 """
 
+import contextlib
 import inspect
 from collections.abc import Iterator
 from functools import partial
@@ -15,16 +16,20 @@ from pkgutil import iter_modules
 from typing import Any
 
 import pandas as pd
+import yaml
 
 from tacgen.core.disk import disk_errors
-from tacgen.core.errors import DatasetError, require_known
-from tacgen.core.files import atomic_folder
+from tacgen.core.errors import DatasetError, RecipeError, require_known
+from tacgen.core.files import atomic_folder, write_text
 from tacgen.core.records import LABEL_NOT_EXECUTED, Camera
+from tacgen.core.version import __version__
+from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample
 from tacgen.dataset.schema import SEGMENT_NAMES, SEGMENTS, SPLITS, T_WORLD_CAMERA, Field, K
 
 _USUAL = ("lerobot", "images", "webdataset", "robomimic", "real-grasps")  # first in messages
+_SIZES = ((1e3, "n<1K"), (1e4, "1K<n<10K"), (1e5, "10K<n<100K"), (1e6, "100K<n<1M"))
 FORMATS = tuple(
     sorted(
         (module.name.replace("_", "-") for module in iter_modules(__path__)),
@@ -51,7 +56,8 @@ def export_dataset(
     """
     require_known("--format", format_name, FORMATS, DatasetError)
     require_known("--split", split or "train", SPLITS, DatasetError)
-    writer = import_module(f"{__name__}.{format_name.replace('-', '_')}").write
+    module = import_module(f"{__name__}.{format_name.replace('-', '_')}")
+    writer = module.write
     if not images:
         if "images" not in inspect.signature(writer).parameters:
             msg = f"--no-images: {format_name} always holds images; use --format real-grasps"
@@ -63,6 +69,8 @@ def export_dataset(
         content = writer(dataset, grasps, folder)
         if images and format_name != "real-grasps":
             content += _touch_note(dataset)
+        about = f"# {content}\n\n{inspect.getdoc(module)}"
+        write_text(folder / "README.md", _card(dataset, grasps, format_name, about))
     counts = {"grasps": len(grasps), "not_executed": not_executed}
     return {"folder": str(out), "format": format_name, **counts, "content": content}
 
@@ -94,6 +102,53 @@ def camera_facts(camera: Camera) -> dict[str, Any]:
         T_WORLD_CAMERA: camera.t_world_camera_mm.tolist(),
         SEGMENT_NAMES: list(SEGMENTS),
     }
+
+
+def origin(dataset: Dataset) -> dict[str, Any]:
+    """Of which sensor, calibration and recipe a dataset's images are, as plain data."""
+    folder, recipe = DatasetFolder(dataset.root), dict[str, Any]()
+    with contextlib.suppress(RecipeError):
+        recipe = folder.recipe()
+    return {
+        **dataset.taken_with(),
+        "mm_per_px": dataset.mm_per_px,
+        "colors_from": folder.plan().get("colors_from", "not recorded"),
+        "sha256": dataset.inputs,  # of the table, the contact law and all else, by role
+        "recipe": recipe,
+        "made_by": f"tacgen {__version__}",
+    }
+
+
+def _card(dataset: Dataset, grasps: pd.DataFrame, format_name: str, about: str) -> str:
+    """A dataset card, with the header that Hugging Face's hub reads.
+
+    Source: the hub's documentation, "Dataset Cards".
+    """
+    name, known = Path(dataset.root).resolve().name, origin(dataset)
+    size = next((words for most, words in _SIZES if len(grasps) < most), _SIZES[-1][1])
+    header: dict[str, Any] = {
+        "pretty_name": name,
+        "license": "unknown",
+        "task_categories": ["robotics"],
+        "tags": ["tactile", "grasping", "simulation", "tacgen", dataset.sensor],
+        "size_categories": [size],
+    }
+    if format_name == "lerobot":
+        header["tags"].insert(0, "LeRobot")
+        files = [{"split": "train", "path": "data/*/*.parquet"}]
+        header["configs"] = [{"config_name": "default", "data_files": files}]
+    rows = {
+        "sensor": dataset.sensor,
+        "scale": f"{dataset.mm_per_px:g} mm a pixel",
+        "colours from": known["colors_from"],
+        "lookup table": f"sha256 `{known['sha256'].get('table', 'not recorded')}`",
+        "contact law": f"sha256 `{known['sha256'].get('contact_law', 'the published one')}`",
+        "successes": f"{int((grasps['label'] == 1).sum())} of {len(grasps)} grasps",
+        "made by": known["made_by"],
+    }
+    lines = [f"| {key} | {value} |" for key, value in rows.items()]
+    table = "\n".join(["| | |", "|---|---|", *lines])
+    return f"---\n{yaml.safe_dump(header, sort_keys=False)}---\n\n{about}\n\n{table}\n"
 
 
 def _chosen(dataset: Dataset, split: str | None) -> tuple[pd.DataFrame, int]:

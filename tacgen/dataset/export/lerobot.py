@@ -5,7 +5,8 @@ Markers and force field are ``observation.markers_mm`` (M, 2), whose places at r
 feature's ``info``, and ``observation.force_field_n`` (rows, columns, 3); of two pads
 ``observation.<pad>.…``. A camera that saw every frame is ``observation.images.camera_<name>``, its
 intrinsics and pose in the feature's ``info``; its depth and segments, and one that saw the moment
-of grasp alone, are arrays an episode in ``cameras/<name>``.
+of grasp alone, are arrays an episode in ``cameras/<name>``. ``meta/tacgen.json`` has the sensor,
+the hashes of its table and contact law, the recipe, and which arrays are depth maps.
 Source: the format of huggingface/lerobot at ``codebase_version`` v3.0 (``meta/info.json``,
 ``meta/stats.json``, ``meta/tasks.parquet``, ``meta/episodes``, ``data``).
 """
@@ -24,7 +25,7 @@ from tacgen.core.errors import DatasetError
 from tacgen.core.files import write_text
 from tacgen.core.images import encode_png
 from tacgen.core.optional_dependencies import require_extra
-from tacgen.dataset.export import camera_arrays, camera_facts
+from tacgen.dataset.export import camera_arrays, camera_facts, origin
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample, frame_columns, frame_flags
 from tacgen.dataset.schema import ACTION, FLAG_FIELDS, REST, SPLITS, STATE_FIELDS
@@ -36,6 +37,7 @@ import pyarrow.parquet as pq  # noqa: E402
 CODEBASE_VERSION = "v3.0"
 CHUNKS_SIZE, DATA_FILES_SIZE_MB, VIDEO_FILES_SIZE_MB = 1000, 100, 200
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+DEPTH = "is_depth_map"  # LeRobot's own mark; its features without it are no depth
 POSE = ("x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
 CONTACT_STATE = tuple(name for field in STATE_FIELDS for name in field.column_names)
 QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
@@ -326,6 +328,18 @@ class _Export:
         self.writer.write_table(table)
         self.file_bytes += table.nbytes
 
+    def _about(self) -> dict[str, Any]:
+        """What the images are of, and the depth maps beside them."""
+        depth = self.dataset.layout.find("depth_mm")
+        beside = {} if depth is None else {"depth_mm/episode_*_<pad>.npy": depth.description}
+        for one in self.dataset.layout.of_cameras if self.dataset.cameras else ():
+            if one.name == "depth_mm":
+                beside["cameras/<name>/depth_mm/episode_*.npy"] = one.description
+        marked = {
+            path: {DEPTH: True, "unit": "mm", "description": text} for path, text in beside.items()
+        }
+        return origin(self.dataset) | {"arrays": marked}
+
     def write_meta(self, n_train: int) -> None:
         """Write the folder ``meta``; the first ``n_train`` episodes are the train split."""
         n_episodes = len(self.episodes)
@@ -355,6 +369,7 @@ class _Export:
         meta = self.root / "meta"
         episodes = meta / "episodes/chunk-000/file-000.parquet"
         episodes.parent.mkdir(parents=True)
+        (meta / "tacgen.json").write_text(json.dumps(self._about(), indent=4), encoding="utf-8")
         (meta / "info.json").write_text(json.dumps(info, indent=4), encoding="utf-8")
         (meta / "stats.json").write_text(json.dumps(stats, indent=4), encoding="utf-8")
         tasks = pd.Index(self.tasks, name="task")

@@ -2,8 +2,10 @@
 
 ``data/demo_<k>/{obs/<name>, next_obs/<name>, actions, rewards, dones}`` with ``num_samples``:
 rewards and dones (T,), the others (T, D), images (T, H, W, 3). ``next_obs`` are views into ``obs``
-of the same file, the last frame's its own: they take no room. The masks ``mask/{train, valid, test}`` list the demonstrations that succeeded, ``mask/{train_failed,
-valid_failed, test_failed}`` those that did not: what is imitated should have worked. ``valid`` is a
+of the same file, the last frame's its own: they take no room.
+
+The masks ``mask/{train, valid, test}`` list the demonstrations that succeeded, those named
+``…_failed`` those that did not: what is imitated should have worked. ``valid`` is a
 tenth of the recipe's training side: what is chosen by it is not chosen on the test grasps.
 
 Actions lie in [−1, 1], which robomimic's policies can reach and its ``get_dataset_info`` demands:
