@@ -215,3 +215,31 @@ def test_measured_curves_have_one_answer(measured_data, tmp_path, name):
     before = json.loads(result.stdout)["channels"]["normal"]["compliance"]["before"]
     assert before["value"] == pytest.approx(own["value"], rel=0.02)
     assert before["stderr"] == pytest.approx(own["stderr"], rel=0.1)
+
+
+@pytest.mark.slow
+def test_both_commands_print_the_same_figures_of_one_file(tmp_path):
+    """k_n and k_s with their errors: terminal, JSON, law and page; errors of one axis in both."""
+    log, _ = session(42)
+    log.to_csv(tmp_path / "log.csv", index=False)
+    file, law, out = (str(tmp_path / name) for name in ("log.csv", "law.yaml", "diagnosis"))
+    found = [
+        json.loads(CliRunner().invoke(app, [*words, "--json"]).stdout)["channels"]
+        for words in (
+            ["calibrate", "contact", file, "--out", law],
+            ["diagnose", "contact", file, "--out", out],
+        )
+    ]
+    laws = load_law(Path(law)), load_law(Path(out) / "contact.yaml")
+    for channel, symbol in (("normal", "k_n"), ("shear", "k_s")):
+        calibrated, diagnosed = (one[channel] for one in found)
+        for name in ("value", "stderr"):
+            same = pytest.approx(calibrated[symbol][name], rel=1e-9)
+            assert diagnosed["compliance"]["before"][name] == same
+            assert diagnosed["compliance"]["after"][name] == same
+        key = "k_n_mm3_per_n" if channel == "normal" else "k_s_mm_per_n"
+        assert getattr(laws[0], key) == getattr(laws[1], key)
+        # A quarter of the presses against each in turn: white noise, some 500 samples.
+        for name in ("rmse", "nrmse"):
+            own = pytest.approx(calibrated["held_out"][name], rel=0.15)
+            assert diagnosed["error_before"][name] == own
