@@ -128,7 +128,8 @@ def test_an_unknown_ball_is_found_where_the_curve_bends(tmp_path):
     assert aligned["radius_mm"][0] == pytest.approx(2.0, rel=0.05)
     assert [point.depth_mm for point in points] == pytest.approx([-0.1, -0.1], abs=0.02)
     law = calibrate_contact(tmp_path / "log.csv", tmp_path / "law.yaml").law
-    assert law.k_n_mm3_per_n.value == pytest.approx(4.0, rel=0.05)
+    k_n = law.k_n_mm3_per_n
+    assert abs(k_n.value - 4.0) < 2.5 * k_n.stderr < 0.4
     assert any("whose radius was fitted" in text for text in aligned.warnings)
 
 
