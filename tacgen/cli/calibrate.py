@@ -193,7 +193,7 @@ def calibrate_contact(
     log: Annotated[
         Path,
         Argument(
-            help="Press log or force-depth curves (CSV, Parquet), or images with forces; their "
+            help="Press log with volumes or depths (CSV, Parquet), or images with forces; their "
             "press log is written beside the law."
         ),
     ],

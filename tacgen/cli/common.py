@@ -187,7 +187,7 @@ FlipOption = Annotated[
     Option(metavar="NAME", help="Turn a column's sign: force, depth, volume or its full name."),
 ]
 ForceUnitOption = Annotated[str | None, Option(help="If not newtons: n, mn, gf or kgf.")]
-LogRadiusOption = Annotated[float | None, Option(help="Ball of force-depth curves, mm.")]
+LogRadiusOption = Annotated[float | None, Option(help="Ball of presses with depths, mm.")]
 MarkersOption = Annotated[
     Path | None,
     Option(

@@ -23,7 +23,7 @@ PRESSES_CONSIDERED = 200  # drawn from the rig's ranges; comparing them takes so
 def diagnose_contact(
     log: Annotated[
         Path,
-        Argument(help="Press log or force-depth curves (CSV, Parquet), or images with forces."),
+        Argument(help="Press log with volumes or depths (CSV, Parquet), or images with forces."),
     ],
     out: Annotated[Path, Option(help="Folder for diagnosis.json, contact.yaml, report.html.")],
     column: common.ColumnOption = None,

@@ -54,7 +54,7 @@ def diagnose_log(
 ) -> result.Diagnosis:
     """Diagnose the press log at ``path``; write diagnosis.json, contact.yaml and report.html.
 
-    All that ``calibrate_contact`` reads is read: logs, force–depth curves, images with forces, and
+    All that ``calibrate_contact`` reads is read: volumes, depths, images with forces, and
     ``markers``, tracks of the dots of ``sensor``, whose field is then a channel of its own.
 
     Raises ``PressError`` if the log cannot be used; the message says what and where.
