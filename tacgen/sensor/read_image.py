@@ -174,10 +174,11 @@ class ImageReader:
         )
         if not touched.any():
             none = f"no contact: the gel is nowhere deeper than {LEAST_DEPTH_MM} mm"
-            return replace(reading, message=none)
+            return replace(reading, message="; ".join((none, *self._reconstructor.doubts)))
         pitch_mm = math.nan if unseen else self._pitch_mm
         reading = _with_forces(reading, self.sensor.law, self.sensor.table.mm_per_px, pitch_mm)
-        message = "; ".join(filter(None, (reading.message, unseen)))
+        doubts = (reading.message, unseen, *self._reconstructor.doubts)
+        message = "; ".join(filter(None, doubts))
         reading = replace(reading, message=message)
         reading = replace(reading, steep_share=shape.steepest_share)
         if not shape.is_lower_bound:
