@@ -52,11 +52,12 @@ class Drift:
     """What the light of a picture makes of the gel at rest.
 
     ``added`` (h, w, 3) is in grey levels; ``gain`` (h, w, 3) is what each channel's changes are
-    multiplied by, ``gain_stderr`` (h, w) its relative standard error; ``bare`` (h, w) is where
-    nothing touches. ``imprint`` is what looks like a contact.
+    multiplied by, ``gain_stderr`` (h, w) its relative standard error, ``offset`` (3,) what is added
+    besides; ``bare`` (h, w) is where nothing touches. ``imprint`` is what looks like a contact.
     """
 
     added: FloatArray
+    offset: FloatArray
     gain: FloatArray
     gain_stderr: FloatArray
     bare: BoolArray
@@ -109,7 +110,8 @@ def drift_of(change: FloatArray, rest: FloatArray, known: FloatArray) -> Drift:
     offset, gain, across, down, outwards = coefficients
     u, v = np.linspace(-1, 1, width)[:, None], np.linspace(-1, 1, height)[:, None, None]
     slow = (across * u + outwards * u**2) + (down * v + outwards * v**2)
-    added = rest * (slow + gain) + (offset - gain * gel.mean(axis=(0, 1)))
+    offset = offset - gain * gel.mean(axis=(0, 1))
+    added = rest * (slow + gain) + offset
     added = np.clip(rest + added, 0.0, 255.0) - rest
     field = np.maximum(1.0 + gain + slow, LEAST_GAIN)
     places = _columns(np.ones(size[::-1]))[..., 1:terms]
@@ -120,7 +122,7 @@ def drift_of(change: FloatArray, rest: FloatArray, known: FloatArray) -> Drift:
     stderr = cv2.resize(np.sqrt(variance), (width, height)) / field.mean(axis=2)
     nearest = cv2.resize(bare.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
     imprint = _imprint_in(np.where(differs, left, 0.0), usual, width / size[0])
-    return Drift(added, field, stderr, np.asarray(nearest > 0), imprint)
+    return Drift(added, offset, field, stderr, np.asarray(nearest > 0), imprint)
 
 
 def _imprint_in(left: FloatArray, usual: float, px: float) -> Imprint | None:

@@ -41,6 +41,7 @@ SEARCH_PRIOR_GREY = 3.0
 """The same in the first search, whose colours are those of the middle of a tile: without it some
 pixels start at a steep slope of like colour, and stay there."""
 MOST_CHANGE_GREY = 12.0  # of half of all pixels, without drift: less than between two sensors
+MOST_OFFSET_GREY = 20.0  # of a background beside its gain: as another gamma by a sixth makes
 MOST_GAIN = 0.3  # lamps drift by some 5 % in a session
 SAME_VIEW = "save all pictures of a sensor as RGB, turned and cropped alike"
 MOST_AT_STEEPEST = 0.01
@@ -184,7 +185,9 @@ class Reconstructor:
         _check_view(background, at_rest, "the background", "the table's")
         rest = _averaged(at_rest.astype(np.float32), self._step, self._shape)
         light = drift_of(self._seen - rest, rest, np.ones(self._shape))
-        self._gain, self._gain_stderr = light.gain, light.gain_stderr
+        # Over the background's contrast alone an offset looks like another gamma.
+        offset = np.abs(light.offset).mean() / rest.mean()
+        self._gain, self._gain_stderr = light.gain, np.hypot(light.gain_stderr, offset)
         self.doubts = _doubts(light)
         height, width = self._shape
         tiles = [
@@ -491,6 +494,13 @@ def _doubts(light: Drift) -> tuple[str, ...]:
     if np.any(np.abs(_brightness(light) - 1.0) > MOST_GAIN + 0.01):
         found.append(
             f"the background is {_gains(light)} as the table's: calibrate again in this light"
+        )
+    if np.abs(light.offset).max() > MOST_OFFSET_GREY:
+        offsets = ", ".join(f"{offset:+.0f}" for offset in light.offset)
+        found.append(
+            f"beside its gain the background differs from the table's by {offsets} grey levels "
+            "(red, green, blue): light from outside, or another gamma, to which the force is not "
+            "corrected; take it as the presses of the table were"
         )
     return tuple(found)
 
