@@ -163,14 +163,6 @@ class Predictor:
         if self.spec.kind == "single" and len(frames) > 1:
             msg = f"the run is of a single-image network: give one image a grasp, not {len(frames)}"
             raise LearningError(msg)
-        reference = self._reference if is_touch else None
-        is_colour = reference is not None and np.ptp(reference, axis=-1).any()
-        if is_colour and any(not np.ptp(frame, axis=-1).any() for frame in frames):
-            msg = (
-                "an image is grey, its three channels are equal, and the network was trained on "
-                "colour: give the pictures as the sensor takes them"
-            )
-            raise LearningError(msg)
         return resized(frames[chosen_frames(self.spec, len(frames), 0)], self.spec.size_px)
 
 

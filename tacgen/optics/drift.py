@@ -53,7 +53,8 @@ class Drift:
 
     ``added`` (h, w, 3) is in grey levels; ``gain`` (h, w, 3) is what each channel's changes are
     multiplied by, ``gain_stderr`` (h, w) its relative standard error, ``offset`` (3,) what is added
-    besides; ``bare`` (h, w) is where nothing touches. ``imprint`` is what looks like a contact.
+    besides; ``bare`` (h, w) is where nothing touches, and ``unlike_grey`` what half of it differs by beyond all this. ``imprint`` is
+    what looks like a contact.
     """
 
     added: FloatArray
@@ -61,6 +62,7 @@ class Drift:
     gain: FloatArray
     gain_stderr: FloatArray
     bare: BoolArray
+    unlike_grey: float
     imprint: Imprint | None
 
 
@@ -122,7 +124,7 @@ def drift_of(change: FloatArray, rest: FloatArray, known: FloatArray) -> Drift:
     stderr = cv2.resize(np.sqrt(variance), (width, height)) / field.mean(axis=2)
     nearest = cv2.resize(bare.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
     imprint = _imprint_in(np.where(differs, left, 0.0), usual, width / size[0])
-    return Drift(added, offset, field, stderr, np.asarray(nearest > 0), imprint)
+    return Drift(added, offset, field, stderr, np.asarray(nearest > 0), usual, imprint)
 
 
 def _imprint_in(left: FloatArray, usual: float, px: float) -> Imprint | None:

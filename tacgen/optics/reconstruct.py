@@ -41,6 +41,8 @@ SEARCH_PRIOR_GREY = 3.0
 """The same in the first search, whose colours are those of the middle of a tile: without it some
 pixels start at a steep slope of like colour, and stay there."""
 MOST_CHANGE_GREY = 12.0  # of half of all pixels, without drift: less than between two sensors
+FAINTEST_GAIN = 0.2  # of a background that still is of the table's gel
+MOST_UNLIKE_GREY = 4.0  # of two gels of one sensor it is 1, of two sensors 5 to 30
 MOST_OFFSET_GREY = 20.0  # of a background beside its gain: as another gamma by a sixth makes
 MOST_GAIN = 0.3  # lamps drift by some 5 % in a session
 SAME_VIEW = "save all pictures of a sensor as RGB, turned and cropped alike"
@@ -188,6 +190,13 @@ class Reconstructor:
         # Over the background's contrast alone an offset looks like another gamma.
         offset = np.abs(light.offset).mean() / rest.mean()
         self._gain, self._gain_stderr = light.gain, np.hypot(light.gain_stderr, offset)
+        brightness = _brightness(light)
+        if brightness.min() < FAINTEST_GAIN:
+            msg = (
+                f"the background does not match the table's: it is {_gains(light)}: it is black, "
+                "overexposed or of another sensor; take it anew, or calibrate this sensor"
+            )
+            raise TableError(msg)
         self.doubts = _doubts(light)
         height, width = self._shape
         tiles = [
@@ -494,6 +503,11 @@ def _doubts(light: Drift) -> tuple[str, ...]:
     if np.any(np.abs(_brightness(light) - 1.0) > MOST_GAIN + 0.01):
         found.append(
             f"the background is {_gains(light)} as the table's: calibrate again in this light"
+        )
+    if light.unlike_grey > MOST_UNLIKE_GREY:
+        found.append(
+            f"half of the background differs from the table's by {light.unlike_grey:.0f} grey "
+            "levels beyond gain and offset: another sensor or gel; calibrate this one"
         )
     if np.abs(light.offset).max() > MOST_OFFSET_GREY:
         offsets = ", ".join(f"{offset:+.0f}" for offset in light.offset)

@@ -73,6 +73,8 @@ def other_view(image: FloatArray | NDArray[np.uint8], rest: FloatArray | NDArray
     alike from all sides shows nothing.
     """
     small, gel = _small(image), _small(rest)
+    if not np.ptp(small, axis=2).any() and np.ptp(gel, axis=2).any():
+        return "it is grey, its three channels are equal"
     plain = apart_grey(small, gel)
     if plain < CLEARLY_GREY:
         return ""
