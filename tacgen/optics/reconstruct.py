@@ -20,7 +20,7 @@ from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.core.compiled import njit
 from tacgen.core.errors import TableError
 from tacgen.optics.drift import Drift, drift_of
-from tacgen.optics.same_view import other_view
+from tacgen.optics.same_view import SAME_VIEW, other_view
 from tacgen.optics.table import LookupTable
 
 Tile = tuple[tuple[int, int], tuple[int, int]]
@@ -45,7 +45,6 @@ FAINTEST_GAIN = 0.2  # of a background that still is of the table's gel
 MOST_UNLIKE_GREY = 4.0  # of two gels of one sensor it is 1, of two sensors 5 to 30
 MOST_OFFSET_GREY = 20.0  # of a background beside its gain: as another gamma by a sixth makes
 MOST_GAIN = 0.3  # lamps drift by some 5 % in a session
-SAME_VIEW = "save all pictures of a sensor as RGB, turned and cropped alike"
 MOST_AT_STEEPEST = 0.01
 """Share of a contact's pixels at the table's steepest slope: up to it balls, edges and cylinders
 were read within 5 %, beyond it deep flat punches up to 50 % too shallow."""
@@ -318,9 +317,7 @@ class Reconstructor:
             shape = rows[1] - rows[0], columns[1] - columns[0]
             # Where the gel at rest explains the colour as well, it is at rest.
             moved = (change[where] ** 2).sum(axis=-1) > far.reshape(shape) ** 2
-            slopes[where] = np.where(
-                moved[..., None], found.reshape(*shape, 2), self._rest[where]
-            )
+            slopes[where] = np.where(moved[..., None], found.reshape(*shape, 2), self._rest[where])
         for _ in range(REFINEMENTS):
             slopes += self._newton_step(slopes, wanted)
             np.clip(slopes, -self.steepest, self.steepest, out=slopes)
@@ -334,9 +331,7 @@ class Reconstructor:
         xx, yy = ((d * d).sum(axis=-1) + prior for d in (by_x, by_y))
         xy = (by_x * by_y).sum(axis=-1)
         bent = slopes - self._rest
-        bx, by = (
-            (d * off).sum(axis=-1) - prior * bent[..., i] for i, d in enumerate((by_x, by_y))
-        )
+        bx, by = ((d * off).sum(axis=-1) - prior * bent[..., i] for i, d in enumerate((by_x, by_y)))
         determinant = xx * yy - xy * xy
         step = np.stack([yy * bx - xy * by, xx * by - xy * bx], axis=-1) / determinant[..., None]
         longest = LONGEST_STEP_NODES * 2.0 * self.steepest / (GRID_NODES - 1)
@@ -474,7 +469,7 @@ def _rest_slopes(shape_px: tuple[int, int], mm_per_px: float, dome_radius_mm: fl
 
 
 def _check_view(image: FloatArray, rest: FloatArray, what: str, whose: str) -> None:
-    """Raises ``TableError`` if a picture (H, W, 3) is proven to be of another view than ``rest``."""
+    """Raises ``TableError`` if a picture (H, W, 3) is proven to be of another view."""
     if wrong := other_view(image, rest):
         msg = f"{what} does not match {whose}: {wrong}; {SAME_VIEW}"
         raise TableError(msg)
@@ -497,8 +492,8 @@ def _doubts(light: Drift) -> tuple[str, ...]:
         x, y = imprint.center_px
         found.append(
             f"the background may show a press, at ({x:.0f}, {y:.0f}), where it differs by "
-            f"{imprint.grey:.0f} grey levels from the table's gel at rest: depth and force are then "
-            "wrong; take it anew with nothing on the gel"
+            f"{imprint.grey:.0f} grey levels from the table's gel at rest: depth and force are "
+            "then wrong; take it anew with nothing on the gel"
         )
     if np.any(np.abs(_brightness(light) - 1.0) > MOST_GAIN + 0.01):
         found.append(
