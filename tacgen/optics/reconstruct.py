@@ -468,7 +468,7 @@ def _rest_slopes(shape_px: tuple[int, int], mm_per_px: float, dome_radius_mm: fl
     return np.stack([-x / height, -y / height], axis=-1)
 
 
-def _check_view(image: FloatArray, rest: FloatArray, what: str, whose: str) -> None:
+def _check_view(image: NDArray[Any], rest: NDArray[Any], what: str, whose: str) -> None:
     """Raises ``TableError`` if a picture (H, W, 3) is proven to be of another view."""
     if wrong := other_view(image, rest):
         msg = f"{what} does not match {whose}: {wrong}; {SAME_VIEW}"

@@ -82,7 +82,7 @@ def test_a_press_as_background_is_stated(taken, shape, force_n):
     sensor, rest, press = taken
     mesh = BALL if shape == "ball" else trimesh.creation.box([6, 4, 4])
     pressed = sensor.render(mesh, np.eye(4), force_n).rgb
-    height, width = rest.shape[:2]
+    _height, width = rest.shape[:2]
     for image in (press, pressed):
         message = ImageReader(sensor, pressed).read(image).message
         assert "the background may show a press" in message

@@ -117,7 +117,10 @@ def test_images_of_another_brightness_contrast_or_colour_lie_outside():
 def gel_at_rest():
     """Light that falls off to one side, otherwise in each colour."""
     v, u = np.meshgrid(np.linspace(-1, 1, 48), np.linspace(-1, 1, 64), indexing="ij")
-    light = np.stack([120 + 40 * u, 110 + 30 * v, 100 - 35 * u + 20 * v], axis=-1)
+    light = np.stack(
+        [120 + 40 * u + 30 * v * v, 110 + 30 * v + 25 * u * u, 100 - 35 * np.sin(3 * u) + 20 * v],
+        axis=-1,
+    )
     return np.rint(light).astype(np.uint8)
 
 
