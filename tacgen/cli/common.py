@@ -24,7 +24,10 @@ CLUSTER = "Cluster"
 MACHINE = "This machine"
 ORDER_OF_WORK = (
     *("collect", "init", "grid", "render", "inspect", "view", "verify", "merge", "export"),
-    *("recipe", "objects",),
+    *(
+        "recipe",
+        "objects",
+    ),
     *("import", "calibrate", "read", "diagnose", "friction", "rig"),
     *("train", "eval", "predict", "study"),
     *("submit", "status"),

@@ -27,7 +27,14 @@ from tacgen.learning.grasps import (
 from tacgen.learning.inputs import InputSpec, camera_note, check_source, read_input, resized
 from tacgen.learning.intervals import standardised_gap
 from tacgen.learning.loader import Batches, DecodedInputs
-from tacgen.learning.predictions import Predictions, input_statistics, notes_on_images, predict
+from tacgen.learning.predictions import (
+    LOOKED_AT,
+    Predictions,
+    input_statistics,
+    notes_on_images,
+    notes_on_views,
+    predict,
+)
 from tacgen.learning.reports import started_from, write_evaluation_report
 from tacgen.learning.run_folder import RunFolder, read_json
 from tacgen.learning.scores import score, tested_on
@@ -228,7 +235,12 @@ class _Test:
             msg = f"{folder.model_path}: predicts NaN; train the model again"
             raise LearningError(msg)
         statistics = input_statistics(batches.as_taken().in_order())
-        for note in notes_on_images(statistics, card):
+        found = notes_on_images(statistics, card)
+        if card.input.sees_touch:
+            some = rows[:: max(1, len(rows) // LOOKED_AT)]
+            images = [read_input(self.source, int(row), card.input) for row in some]
+            found += notes_on_views(images, batches.reference, reference)
+        for note in found:
             self._note(f"{self.where}: {note}")
         if card.input.vision is not None:
             camera = self.source.camera(card.input.vision.camera)

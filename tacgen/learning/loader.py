@@ -75,13 +75,13 @@ class Batches:
         batch_size: int,
     ) -> None:
         self._inputs, self._spec = inputs, spec
-        self._reference = None if reference is None else resized(reference[None], spec.size_px)[0]
+        self.reference = None if reference is None else resized(reference[None], spec.size_px)[0]
         self._batch_size = batch_size
 
     def as_taken(self) -> "Batches":
         """The same without the removal of each image's gain and each grasp's contrast."""
         spec = replace(self._spec, normalised=False)
-        return Batches(self._inputs, spec, self._reference, self._batch_size)
+        return Batches(self._inputs, spec, self.reference, self._batch_size)
 
     def in_order(self) -> Iterator[tuple[NetworkInput, Tensor, NDArray[np.int64]]]:
         """Every grasp once, in the order of the rows."""
@@ -112,10 +112,10 @@ class Batches:
             if augmentation is not None and augmentation.on:
                 rngs = [_rng(*key, _STREAM_AUGMENT, int(item)) for item in items]
                 pairs = zip(frames, rngs, strict=True)
-                rest = at_rest(self._reference, self._spec)
+                rest = at_rest(self.reference, self._spec)
                 frames = [augmented(f, rest, augmentation, rng) for f, rng in pairs]
             touch = [self._inputs.touch(int(item)) for item in items] if self._spec.touch else []
-            inputs = as_batch(frames, self._reference, self._spec, touch)
+            inputs = as_batch(frames, self.reference, self._spec, touch)
             yield inputs, torch.from_numpy(self._inputs.labels[items]), items
 
 

@@ -11,6 +11,7 @@ from scipy import optimize, special
 from tacgen.learning.checkpoint import ModelCard
 from tacgen.learning.grasps import GraspTable
 from tacgen.learning.networks import NetworkInput, StabilityNet
+from tacgen.optics.same_view import SAME_VIEW, other_view
 
 MIN_PROBABILITY = 1e-12
 """Predictions are cut to this, so that one certain mistake does not make the loss infinite."""
@@ -20,6 +21,7 @@ RANGE_MARGIN = 0.5
 CONTRAST_RANGE = (0.75, 1.33)
 """Typical contrast over the training's: forces and chance alone change it by less."""
 MIN_CONTRAST = 1e-6  # of training images that all show one colour
+LOOKED_AT = 20  # grasps, spread evenly, whose view is compared
 MIN_COMPARED = 20  # grasps; the median contrast of fewer depends on their forces
 TEMPERATURE_RANGE = (1.0, 16.0)
 """Never below 1: some thirty grasps of the training's own sensor, often without a mistake, are no
@@ -70,7 +72,10 @@ def notes_on_images(statistics: NDArray[np.float64], card: ModelCard) -> list[st
     """What to warn of where images (N, 6) are unlike those that the model was trained on."""
     low, high = np.array(card.input_range).T
     margin, notes = RANGE_MARGIN * (high - low), []
-    strange = int(((statistics < low - margin) | (statistics > high + margin)).any(axis=1).sum())
+    least = low - margin
+    # A contrast has no values below 0: of blank images it is within any margin of a wide range.
+    least[3:] = np.maximum(least, RANGE_MARGIN * low)[3:]
+    strange = int(((statistics < least) | (statistics > high + margin)).any(axis=1).sum())
     if strange:
         notes.append(
             f"the brightness or contrast of {strange} of {len(statistics)} grasps lies OUTSIDE of "
@@ -83,6 +88,29 @@ def notes_on_images(statistics: NDArray[np.float64], card: ModelCard) -> list[st
             f"the images' contrast is {contrast:.2f} of that in training: other lamps, another "
             "sensor or other forces; calibrate again with `tacgen calibrate lookup`"
         )
+    return notes
+
+
+def notes_on_views(
+    inputs: Sequence[NDArray[np.uint8]],
+    rest: NDArray[np.uint8] | None,
+    trained: NDArray[np.uint8] | None,
+) -> list[str]:
+    """Whether images are turned, shifted or coloured otherwise than those of the training.
+
+    ``inputs`` are those of grasps, (T, h, w, 3 or 6), with the sensor's image first; ``rest`` and
+    ``trained`` (h, w, 3) their gel at rest and that of the training.
+    """
+    if rest is None or trained is None:
+        return []
+    notes = []
+    if wrong := other_view(rest, trained):
+        notes.append(f"the background does NOT match the training's: {wrong}; {SAME_VIEW}")
+    some = inputs[:: max(1, len(inputs) // LOOKED_AT)]
+    found = [wrong for one in some if (wrong := other_view(one[-1, ..., :3], rest))]
+    if 2 * len(found) > len(some):
+        wrong = max(found, key=found.count)
+        notes.append(f"the images do NOT match their background: {wrong}; {SAME_VIEW}")
     return notes
 
 

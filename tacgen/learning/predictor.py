@@ -18,8 +18,14 @@ from tacgen.learning.checkpoint import load_model
 from tacgen.learning.device import choose_device, exact_torch
 from tacgen.learning.inputs import ARRAYS, VisionInput, chosen_frames, resized
 from tacgen.learning.loader import as_batch
-from tacgen.learning.predictions import input_statistics, notes_on_images, predict
+from tacgen.learning.predictions import (
+    input_statistics,
+    notes_on_images,
+    notes_on_views,
+    predict,
+)
 from tacgen.learning.run_folder import RunFolder
+from tacgen.optics.same_view import GREY, SAME_VIEW, is_grey
 
 
 class Predictor:
@@ -51,7 +57,7 @@ class Predictor:
         name = _model_for(plan["models"], object_name, str(run))
         network, card, reference = load_model(folder.model(name).model_path)
         self._network, self.spec, self._card = network.to(self._device), card.input, card
-        self._reference = reference
+        self._reference = self._trained = reference
         if prior is not None:
             if not 0 < prior < 1:
                 msg = f"prior = {prior:g} is no share of grasps between 0 and 1"
@@ -97,7 +103,10 @@ class Predictor:
         pairs = list(zip(inputs, beside, strict=True))
         as_taken = [(as_batch([one], ref, plain, [t]), unknown, rows) for one, t in pairs]
         batches = ((as_batch([one], ref, self.spec, [t]), unknown, rows) for one, t in pairs)
-        for note in notes_on_images(input_statistics(as_taken), self._card) if inputs else ():
+        notes = notes_on_images(input_statistics(as_taken), self._card) if inputs else []
+        if self.spec.sees_touch and inputs:
+            notes += notes_on_views(inputs, ref, self._trained)
+        for note in notes:
             print_status(note)
         with exact_torch(self._threads):
             return predict(self._network, batches, self._device)[0]
@@ -163,13 +172,9 @@ class Predictor:
         if self.spec.kind == "single" and len(frames) > 1:
             msg = f"the run is of a single-image network: give one image a grasp, not {len(frames)}"
             raise LearningError(msg)
-        reference = self._reference if is_touch else None
-        is_colour = reference is not None and np.ptp(reference, axis=-1).any()
-        if is_colour and any(not np.ptp(frame, axis=-1).any() for frame in frames):
-            msg = (
-                "an image is grey, its three channels are equal, and the network was trained on "
-                "colour: give the pictures as the sensor takes them"
-            )
+        rest = self._reference if is_touch else None
+        if rest is not None and any(is_grey(frame, rest) for frame in frames):
+            msg = f"an image {GREY}, and the gel at rest is not; {SAME_VIEW}"
             raise LearningError(msg)
         return resized(frames[chosen_frames(self.spec, len(frames), 0)], self.spec.size_px)
 

@@ -1,10 +1,10 @@
-"""The lamps' drift between a picture and the gel at rest, seen where nothing touches."""
+"""How the light differs between a picture and the gel at rest, seen where nothing touches."""
 
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.ndimage import binary_dilation, gaussian_filter
+from scipy.ndimage import binary_dilation, gaussian_filter, label
 
 from tacgen.core.arrays import BoolArray, FloatArray
 
@@ -14,8 +14,16 @@ TOUCHED_SIGMAS = 4.0  # of the bare gel's own scatter: a larger change is no dri
 LEAST_SCATTER_GREY = 0.3  # of a picture without noise
 BESIDE_SHARE = 0.04  # of the width: so far the gel beside a contact bends with it
 USUAL_GAIN = 0.05  # lamps change by so much in a session
+LEAST_GAIN = 0.05  # of a light that still shows a contact
+CLIPPED_GREY = 2.0  # so near to black or white, averaged, a picture may be clipped
 INDEPENDENT_PATCHES = 30  # of a picture whose light differs otherwise than by gain and slope
 LEAST_BARE = 0.15  # of the picture: less gel cannot tell a slope of the light over it
+MEDIAN_TO_SIGMA = 1.4826  # of a normal distribution
+IMPRINT_GREY, IMPRINT_SIGMAS, IMPRINT_SHARE = 6.0, 7.5, 0.6
+"""A patch of the bare gel that differs on average by so many grey levels, by so many times what
+the rest of it does, and makes so much of all that differs (squares). Presses of seven real sets
+reach 7, 8 and 0.97, but for one in 50; two gels of one sensor 5, 6 and 0.9, two sensors 90, 7.2
+and 1."""
 
 
 def gain_and_offset(image: FloatArray, rest: FloatArray) -> FloatArray:
@@ -23,31 +31,48 @@ def gain_and_offset(image: FloatArray, rest: FloatArray) -> FloatArray:
 
     A gain and an offset of each channel, fitted to most of the picture: a contact is not.
     """
-    columns = [_columns(rest[..., channel], slow=False) for channel in range(3)]
-    change, weight = image - rest, np.ones(rest.shape[:2])
-    fits = [_robust_fit(part, change[..., c], weight) for c, part in enumerate(columns)]
-    return np.asarray(rest + np.stack([a @ b for a, b in zip(columns, fits, strict=True)], axis=-1))
+    change, weight, fitted = image - rest, np.ones(rest.shape[:2]), np.empty(rest.shape)
+    for c in range(3):
+        columns = _columns(rest[..., c])[..., :2]
+        fitted[..., c] = columns @ _robust_fit(columns, change[..., c], weight, USUAL_GAIN)[0]
+    return rest + fitted
+
+
+@dataclass(frozen=True, slots=True)
+class Imprint:
+    """A compact patch in which bare gel differs: ``center_px`` (x, y), radius of its area."""
+
+    center_px: FloatArray
+    radius_px: float
+    grey: float
 
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """What the light of a picture adds to the gel at rest.
+    """What the light of a picture makes of the gel at rest.
 
-    ``added`` (h, w, 3) is in grey levels; ``gain`` (3,) is what each channel's changes are
-    multiplied by; ``bare`` (h, w) is where nothing touches.
+    ``added`` (h, w, 3) is in grey levels; ``gain`` (h, w, 3) is what each channel's changes are
+    multiplied by, ``gain_stderr`` (h, w) its relative standard error, ``offset`` (3,) what is added
+    besides; ``bare`` (h, w) is where nothing touches, and ``unlike_grey`` what half of it differs
+    by beyond all this. ``imprint`` is what looks like a contact.
     """
 
     added: FloatArray
+    offset: FloatArray
     gain: FloatArray
+    gain_stderr: FloatArray
     bare: BoolArray
+    unlike_grey: float
+    imprint: Imprint | None
 
 
 def drift_of(change: FloatArray, rest: FloatArray, known: FloatArray) -> Drift:
     """The drift between a picture and the gel at rest, fitted to the gel that nothing touches.
 
     ``change`` (h, w, 3) is the picture less ``rest`` (h, w, 3); ``known`` (h, w) is 1 where the
-    picture shows gel. Each channel has a gain, an offset and a slope over the picture, since lamps
-    drift one by one.
+    picture shows gel. Each channel has an offset and a gain that changes smoothly over the picture,
+    since lamps drift one by one. Gain and offset are told apart by the contrast of the gel at rest;
+    with less contrast the gain tends to 1, and its error to the whole change of brightness.
     """
     height, width = change.shape[:2]
     scale = min(1.0, COMPARED_PX / width)
@@ -56,45 +81,83 @@ def drift_of(change: FloatArray, rest: FloatArray, known: FloatArray) -> Drift:
         np.asarray(cv2.resize(part.astype(np.float32), size, interpolation=cv2.INTER_AREA), float)
         for part in (change, rest, known)
     )
-    is_seen = seen > 0.5
-    bare, slow = is_seen, False
+    is_seen, picture = seen > 0.5, gel + small
+    clear = (np.minimum(gel, picture) > CLIPPED_GREY) & (
+        np.maximum(gel, picture) < 255.0 - CLIPPED_GREY
+    )
+    clear[..., clear.mean(axis=(0, 1)) < LEAST_BARE] = True
+    columns = [_columns(gel[..., channel]) for channel in range(3)]
+    # So much of a change of brightness may be gain.
+    brightness = np.median(picture / np.maximum(gel, 1.0), axis=(0, 1)) - 1.0
+    spread = np.maximum(np.abs(brightness), USUAL_GAIN)
+    bare, terms = is_seen, 2
     for _ in range(3):
-        columns = [_columns(gel[..., channel], slow=slow) for channel in range(3)]
-        weight = bare.astype(np.float64)
-        fits = [_robust_fit(part, small[..., c], weight) for c, part in enumerate(columns)]
-        fitted = np.stack([a @ b for a, b in zip(columns, fits, strict=True)], axis=-1)
-        left = np.abs(gaussian_filter(small - fitted, (1.0, 1.0, 0.0))).max(axis=2)
+        fits, fitted = [], np.empty(gel.shape)
+        for c, part in enumerate(columns):
+            weight = (bare & clear[..., c]).astype(np.float64)
+            fits.append(_robust_fit(part[..., :terms], small[..., c], weight, spread[c]))
+            fitted[..., c] = part[..., :terms] @ fits[-1][0]
+        # The camera clips what drift carries beyond its scale.
+        expected = np.clip(gel + fitted, 0.0, 255.0)
+        left = np.abs(gaussian_filter(picture - expected, (1.0, 1.0, 0.0))).max(axis=2)
         usual = max(float(np.median(left[bare])), LEAST_SCATTER_GREY)
-        touched = binary_dilation(
-            left > TOUCHED_SIGMAS * usual, iterations=max(1, round(BESIDE_SHARE * size[0]))
-        )
-        if (is_seen & ~touched).mean() < LEAST_BARE:
+        differs = is_seen & (left > TOUCHED_SIGMAS * usual)
+        beside = max(1, round(BESIDE_SHARE * size[0]))
+        untouched = is_seen & ~binary_dilation(differs, iterations=beside)
+        if untouched.mean() < LEAST_BARE:
             break
-        bare, slow = is_seen & ~touched, True
-    columns = [_columns(rest[..., channel], slow=len(fits[0]) > 2) for channel in range(3)]
-    added = np.stack([a @ b for a, b in zip(columns, fits, strict=True)], axis=-1)
-    # The camera clips what drift carries beyond its scale.
+        bare, terms = untouched, columns[0].shape[-1]
+    coefficients = np.zeros((columns[0].shape[-1], 3))
+    coefficients[:terms] = np.stack([fit for fit, _ in fits], axis=1)
+    offset, gain, across, down, outwards = coefficients
+    u, v = np.linspace(-1, 1, width)[:, None], np.linspace(-1, 1, height)[:, None, None]
+    slow = (across * u + outwards * u**2) + (down * v + outwards * v**2)
+    offset = offset - gain * gel.mean(axis=(0, 1))
+    added = rest * (slow + gain) + offset
     added = np.clip(rest + added, 0.0, 255.0) - rest
+    field = np.maximum(1.0 + gain + slow, LEAST_GAIN)
+    places = _columns(np.ones(size[::-1]))[..., 1:terms]
+    places[..., 0] = 1.0
+    variance = np.mean([((places @ cov[1:, 1:]) * places).sum(axis=-1) for _, cov in fits], axis=0)
+    stderr = cv2.resize(np.sqrt(variance), (width, height)) / field.mean(axis=2)
     nearest = cv2.resize(bare.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
-    gain = 1.0 + np.array([fit[1] for fit in fits])
-    return Drift(np.asarray(added), gain, np.asarray(nearest > 0))
+    imprint = _imprint_in(np.where(differs, left, 0.0), usual, width / size[0])
+    return Drift(added, offset, field, stderr, np.asarray(nearest > 0), usual, imprint)
 
 
-def _columns(rest: FloatArray, *, slow: bool) -> FloatArray:
-    """What drift is made of (h, w, 2 or 4): gain, offset and, if ``slow``, slopes."""
+def _imprint_in(left: FloatArray, usual: float, px: float) -> Imprint | None:
+    """The imprint in what differs (h, w), grey levels, on pixels of ``px`` of the picture's."""
+    patches, count = label(left)
+    if not count:
+        return None
+    squares = np.bincount(patches.ravel(), weights=(left**2).ravel())[1:]
+    patch = patches == 1 + int(squares.argmax())
+    grey = float(left[patch].mean())
+    if grey < max(IMPRINT_GREY, IMPRINT_SIGMAS * usual):
+        return None
+    if squares.max() < IMPRINT_SHARE * squares.sum():
+        return None
+    center = np.argwhere(patch).mean(axis=0)[::-1]
+    return Imprint((center + 0.5) * px - 0.5, float(np.sqrt(patch.sum() / np.pi)) * px, grey)
+
+
+def _columns(rest: FloatArray) -> FloatArray:
+    """What drift is made of (h, w, 5): offset, gain, and the gain's slopes and fall outwards."""
     height, width = rest.shape
+    u, v = np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height))
     centred = rest.astype(np.float64) - float(rest.mean())
-    parts = [np.ones_like(centred), centred]
-    if slow:
-        parts += np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height))
-    return np.stack(parts, axis=-1)
+    return np.stack(
+        [np.ones_like(centred), centred, rest * u, rest * v, rest * (u**2 + v**2)], axis=-1
+    )
 
 
-def _robust_fit(columns: FloatArray, values: FloatArray, weight: FloatArray) -> FloatArray:
-    """Coefficients (n,) of ``columns`` (h, w, n) that fit most of ``values`` (h, w).
+def _robust_fit(
+    columns: FloatArray, values: FloatArray, weight: FloatArray, spread: float
+) -> tuple[FloatArray, FloatArray]:
+    """Coefficients (n,) of ``columns`` (h, w, n) that fit most of ``values`` (h, w), covariance.
 
-    Least squares, reweighted after Cauchy by the median residual. The second coefficient, a gain,
-    is held near 0 where a picture has too little contrast to show it.
+    Least squares, reweighted after Cauchy by the median residual. All but the first coefficient are
+    gains, expected to be of this spread where a picture has too little contrast to show them.
     """
     matrix, wanted = columns.reshape(-1, columns.shape[-1]), values.ravel().astype(np.float64)
     given, soft = weight.ravel(), np.ones(len(wanted))
@@ -102,11 +165,12 @@ def _robust_fit(columns: FloatArray, values: FloatArray, weight: FloatArray) -> 
     for _ in range(ROBUST_PASSES):
         weighted = matrix * (given * soft)[:, None]
         # What light does beyond these columns is alike over patches.
-        ridge = np.full(matrix.shape[1], 1e-6)
-        ridge[1] = usual**2 * given.sum() / INDEPENDENT_PATCHES / USUAL_GAIN**2
+        patch = usual**2 * given.sum() / INDEPENDENT_PATCHES
+        ridge = np.full(matrix.shape[1], patch / spread**2)
+        ridge[0] = 1e-6
         normal = weighted.T @ matrix + np.diag(ridge)
         fit = np.linalg.solve(normal, weighted.T @ wanted)
         size = np.abs(wanted - matrix @ fit)
         usual = max(float(np.median(size[given > 0])), LEAST_SCATTER_GREY)
         soft = 1.0 / (1.0 + (size / (usual + 1.0)) ** 2)
-    return np.asarray(fit)
+    return np.asarray(fit), np.linalg.inv(normal) * patch * MEDIAN_TO_SIGMA**2

@@ -19,8 +19,8 @@ from scipy.spatial import cKDTree
 from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.core.compiled import njit
 from tacgen.core.errors import TableError
-from tacgen.optics.drift import drift_of
-from tacgen.optics.same_view import other_view
+from tacgen.optics.drift import Drift, drift_of
+from tacgen.optics.same_view import SAME_VIEW, other_view
 from tacgen.optics.table import LookupTable
 
 Tile = tuple[tuple[int, int], tuple[int, int]]
@@ -35,14 +35,16 @@ STEEPEST_RAD = 1.25  # of the slopes searched; tables seldom reach further
 LONGEST_STEP_NODES = 2.0
 """Longest step of Gauss–Newton, in nodes of the slope grid: so far colour is nearly linear."""
 SLOPE_PRIOR_GREY = 0.3
-"""Grey levels that a slope of 1 has to be worth: of two slopes alike in colour, the flatter. More
-flattens steep walls, by 1 % of a deep press's volume at 1 grey level."""
+"""Grey levels that a slope of 1 has to be worth: of two slopes alike in colour, the one nearer to
+the gel at rest. More flattens steep walls, by 1 % of a deep press's volume at 1 grey level."""
 SEARCH_PRIOR_GREY = 3.0
 """The same in the first search, whose colours are those of the middle of a tile: without it some
 pixels start at a steep slope of like colour, and stay there."""
 MOST_CHANGE_GREY = 12.0  # of half of all pixels, without drift: less than between two sensors
+FAINTEST_GAIN = 0.2  # of a background that still is of the table's gel
+MOST_UNLIKE_GREY = 4.0  # of two gels of one sensor it is 1, of two sensors 5 to 30
+MOST_OFFSET_GREY = 20.0  # of a background beside its gain: as another gamma by a sixth makes
 MOST_GAIN = 0.3  # lamps drift by some 5 % in a session
-SAME_VIEW = "save all pictures of a sensor as RGB, turned and cropped alike"
 MOST_AT_STEEPEST = 0.01
 """Share of a contact's pixels at the table's steepest slope: up to it balls, edges and cylinders
 were read within 5 %, beyond it deep flat punches up to 50 % too shallow."""
@@ -89,7 +91,8 @@ class Shape:
     picture; NaN where nothing is deeper than the gel at rest. ``steepest_share`` is the share of
     the contact's pixels at the steepest slope that the table holds, ``unknown_share`` that of those
     whose slope does not follow from the rest of the contact either: walls may be steeper there, and
-    the depth inside them is then too small.
+    the depth inside them is then too small. ``light_stderr`` is the relative standard error of how
+    much brighter the light is than the table's, by which slopes are off.
     """
 
     depth_mm: FloatArray
@@ -98,6 +101,7 @@ class Shape:
     steepest_share: float = 0.0
     level_stderr_mm: float = 0.0
     unknown_share: float = 0.0
+    light_stderr: float = 0.0
 
     @property
     def is_lower_bound(self) -> bool:
@@ -145,6 +149,7 @@ class Shape:
         volume = float(imprint.depth_mm.sum()) * pixel_mm2
         parts = (
             volume * self.slope_stderr / max(steepness, self.slope_stderr),
+            volume * self.light_stderr,
             float(touched.sum()) * pixel_mm2 * self.level_stderr_mm,
             CONTINUED_STDERR * float(imprint.depth_mm[~imprint.seen].sum()) * pixel_mm2,
         )
@@ -177,9 +182,21 @@ class Reconstructor:
         self._rest_colors = self._colors_at(self._rest)[0]
         # The gel at rest as the table renders it: on a dome, its own background is another picture.
         dome = cv2.resize(self._rest_colors.astype(np.float32), (width, height))
-        if wrong := other_view(background, table.background + dome):
-            msg = f"the background does not match the table's: {wrong}; {SAME_VIEW}"
+        at_rest = table.background + dome
+        _check_view(background, at_rest, "the background", "the table's")
+        rest = _averaged(at_rest.astype(np.float32), self._step, self._shape)
+        light = drift_of(self._seen - rest, rest, np.ones(self._shape))
+        # Over the background's contrast alone an offset looks like another gamma.
+        offset = np.abs(light.offset).mean() / rest.mean()
+        self._gain, self._gain_stderr = light.gain, np.hypot(light.gain_stderr, offset)
+        brightness = _brightness(light)
+        if brightness.min() < FAINTEST_GAIN:
+            msg = (
+                f"the background does not match the table's: it is {_gains(light)}: it is black, "
+                "overexposed or of another sensor; take it anew, or calibrate this sensor"
+            )
             raise TableError(msg)
+        self.doubts = _doubts(light)
         height, width = self._shape
         tiles = [
             ((top, min(top + TILE_PX, height)), (left, min(left + TILE_PX, width)))
@@ -193,9 +210,7 @@ class Reconstructor:
 
         Raises ``TableError`` if it is turned, shifted or coloured otherwise than the background.
         """
-        if wrong := other_view(rgb, self._background):
-            msg = f"the image does not match the background: {wrong}; {SAME_VIEW}"
-            raise TableError(msg)
+        _check_view(rgb, self._background, "the image", "the background")
         change = _averaged(rgb.astype(np.float32), self._step, self._shape) - self._seen
         known = np.ones(self._shape, dtype=np.float32)
         if hidden is not None:
@@ -204,15 +219,15 @@ class Reconstructor:
         drift = drift_of(change, self._seen, known)
         change = change - drift.added
         half = float(np.median(np.abs(change).max(axis=2)))
-        if half > MOST_CHANGE_GREY or not np.all(np.abs(drift.gain - 1.0) < MOST_GAIN):
-            gains = ", ".join(f"{gain:.2f}" for gain in drift.gain)
+        if half > MOST_CHANGE_GREY or np.any(np.abs(_brightness(drift) - 1.0) > MOST_GAIN):
             msg = (
-                f"the image does not match the background: it is {gains} times as bright (red, "
-                f"green, blue) and half of it differs by {half:.0f} grey levels more: it is of "
-                "another sensor or light; take the background in the same session as the image"
+                f"the image does not match the background: it is {_gains(drift)} and half of it "
+                f"differs by {half:.0f} grey levels more: it is of another sensor or light; take "
+                "the background in the same session as the image"
             )
             raise TableError(msg)
-        seen = gaussian_filter(_filled(change / drift.gain, known), (BLUR_PX, BLUR_PX, 0.0))
+        change = change / (drift.gain * self._gain)
+        seen = gaussian_filter(_filled(change, known), (BLUR_PX, BLUR_PX, 0.0))
         change = seen
         bare = drift.bare if drift.bare.any() else known > 0
         for _ in range(CONTACT_PASSES if self._table.image_model.sees_depth else 1):
@@ -228,7 +243,8 @@ class Reconstructor:
             depth = self._depth_of(found, known, bare)
             unknown_share = float(unknown.sum() / contact.sum())
         level = float(np.sqrt(np.mean(depth[_upper(-depth, bare)] ** 2)))
-        return Shape(depth, self.mm_per_px, stderr, share, level, unknown_share)
+        light = float(self._gain_stderr[contact].mean()) if contact.any() else 0.0
+        return Shape(depth, self.mm_per_px, stderr, share, level, unknown_share, light)
 
     def _depth_of(self, slopes: FloatArray, known: FloatArray, bare: BoolArray) -> FloatArray:
         """Depth (h, w), mm, of the surface of these slopes (h, w, 2) below the ``bare`` gel."""
@@ -295,26 +311,27 @@ class Reconstructor:
         for tile, (tree, nodes) in self._trees.items():
             rows, columns = tile
             part = wanted[rows[0] : rows[1], columns[0] : columns[1]].reshape(-1, 3)
-            _, nearest = tree.query(np.column_stack([part, np.zeros(len(part))]))
+            far, nearest = tree.query(np.column_stack([part, np.zeros(len(part))]))
             found = np.stack([axis[nodes[nearest, 1]], axis[nodes[nearest, 0]]], axis=-1)
-            slopes[rows[0] : rows[1], columns[0] : columns[1]] = found.reshape(
-                rows[1] - rows[0], columns[1] - columns[0], 2
-            )
+            where = slice(*rows), slice(*columns)
+            shape = rows[1] - rows[0], columns[1] - columns[0]
+            # Where the gel at rest explains the colour as well, it is at rest.
+            moved = (change[where] ** 2).sum(axis=-1) > far.reshape(shape) ** 2
+            slopes[where] = np.where(moved[..., None], found.reshape(*shape, 2), self._rest[where])
         for _ in range(REFINEMENTS):
             slopes += self._newton_step(slopes, wanted)
             np.clip(slopes, -self.steepest, self.steepest, out=slopes)
         return slopes
 
     def _newton_step(self, slopes: FloatArray, wanted: FloatArray) -> FloatArray:
-        """Gauss–Newton on the squared difference of colours, with a weak prior for flat gel."""
+        """Gauss–Newton on the squared difference of colours, with a weak prior for gel at rest."""
         here, by_x, by_y = self._colors_at(slopes)
         off = wanted - here
         prior = SLOPE_PRIOR_GREY**2
         xx, yy = ((d * d).sum(axis=-1) + prior for d in (by_x, by_y))
         xy = (by_x * by_y).sum(axis=-1)
-        bx, by = (
-            (d * off).sum(axis=-1) - prior * slopes[..., i] for i, d in enumerate((by_x, by_y))
-        )
+        bent = slopes - self._rest
+        bx, by = ((d * off).sum(axis=-1) - prior * bent[..., i] for i, d in enumerate((by_x, by_y)))
         determinant = xx * yy - xy * xy
         step = np.stack([yy * bx - xy * by, xx * by - xy * bx], axis=-1) / determinant[..., None]
         longest = LONGEST_STEP_NODES * 2.0 * self.steepest / (GRID_NODES - 1)
@@ -449,6 +466,52 @@ def _rest_slopes(shape_px: tuple[int, int], mm_per_px: float, dome_radius_mm: fl
         return np.zeros((*shape_px, 2))
     height = np.sqrt(np.maximum(dome_radius_mm**2 - x**2 - y**2, 1e-6))
     return np.stack([-x / height, -y / height], axis=-1)
+
+
+def _check_view(image: NDArray[Any], rest: NDArray[Any], what: str, whose: str) -> None:
+    """Raises ``TableError`` if a picture (H, W, 3) is proven to be of another view."""
+    if wrong := other_view(image, rest):
+        msg = f"{what} does not match {whose}: {wrong}; {SAME_VIEW}"
+        raise TableError(msg)
+
+
+def _brightness(light: Drift) -> FloatArray:
+    """Gain of each channel (3,), its median over the picture."""
+    return np.asarray(np.median(light.gain, axis=(0, 1)))
+
+
+def _gains(light: Drift) -> str:
+    gains = ", ".join(f"{gain:.2f}" for gain in _brightness(light))
+    return f"{gains} times as bright (red, green, blue)"
+
+
+def _doubts(light: Drift) -> tuple[str, ...]:
+    """What is odd about a background in a ``light`` other than the table's."""
+    found = []
+    if (imprint := light.imprint) is not None:
+        x, y = imprint.center_px
+        found.append(
+            f"the background may show a press, at ({x:.0f}, {y:.0f}), where it differs by "
+            f"{imprint.grey:.0f} grey levels from the table's gel at rest: depth and force are "
+            "then wrong; take it anew with nothing on the gel"
+        )
+    if np.any(np.abs(_brightness(light) - 1.0) > MOST_GAIN + 0.01):
+        found.append(
+            f"the background is {_gains(light)} as the table's: calibrate again in this light"
+        )
+    if light.unlike_grey > MOST_UNLIKE_GREY:
+        found.append(
+            f"half of the background differs from the table's by {light.unlike_grey:.0f} grey "
+            "levels beyond gain and offset: another sensor or gel; calibrate this one"
+        )
+    if np.abs(light.offset).max() > MOST_OFFSET_GREY:
+        offsets = ", ".join(f"{offset:+.0f}" for offset in light.offset)
+        found.append(
+            f"beside its gain the background differs from the table's by {offsets} grey levels "
+            "(red, green, blue): light from outside, or another gamma, to which the force is not "
+            "corrected; take it as the presses of the table were"
+        )
+    return tuple(found)
 
 
 def _upper(surface: FloatArray, bare: BoolArray) -> BoolArray:

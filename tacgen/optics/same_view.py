@@ -15,6 +15,8 @@ CLEARLY_GREY = 0.15  # differences below it show nothing
 DRIFT_GREY = 3.0
 """Nor do those of the light below this where a picture may be turned: a lamp that drifts by 4 grey
 levels at one side makes 2 of it, in either picture."""
+SAME_VIEW = "save all pictures of a sensor as RGB, turned and cropped alike"
+GREY = "is grey, its three channels are equal"
 VIEW_PX = 40  # width of the pictures whose light is compared: colours show at any size
 LEAST_SHIFT = 0.03  # of the width: a camera with play moves by 0.02 between real presses
 ZOOMS = (0.8, 0.85, 0.9, 0.95, 1.05, 1.1, 1.15, 1.2)
@@ -73,6 +75,8 @@ def other_view(image: FloatArray | NDArray[np.uint8], rest: FloatArray | NDArray
     alike from all sides shows nothing.
     """
     small, gel = _small(image), _small(rest)
+    if small.std() > CLEARLY_GREY and is_grey(small, gel):
+        return f"it {GREY}"
     plain = apart_grey(small, gel)
     if plain < CLEARLY_GREY:
         return ""
@@ -98,6 +102,11 @@ def other_view(image: FloatArray | NDArray[np.uint8], rest: FloatArray | NDArray
         found[f"it is shifted by {shift} px"] = _light_at_shift(image, rest, shift)
     what = min(found, key=lambda name: found[name], default="")
     return what if what and found[what] < MUCH_BETTER else ""
+
+
+def is_grey(image: FloatArray | NDArray[np.uint8], rest: FloatArray | NDArray[np.uint8]) -> bool:
+    """Whether a picture (…, H, W, 3) has lost the colour that the gel at rest has."""
+    return bool(np.ptp(rest, axis=-1).any() and not np.ptp(image, axis=-1).any())
 
 
 def alignment(

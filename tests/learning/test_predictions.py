@@ -11,6 +11,7 @@ from tacgen.learning.predictions import (
     calibrated_temperature,
     input_statistics,
     notes_on_images,
+    notes_on_views,
     predict,
     typical_contrast,
 )
@@ -111,3 +112,45 @@ def test_images_of_another_brightness_contrast_or_colour_lie_outside():
     assert "OUTSIDE" not in notes(faint)
     card.contrast = 0.0  # training images of one colour
     assert "of that in training" in notes(images)
+
+
+def gel_at_rest():
+    """Light that falls off to one side, otherwise in each colour."""
+    v, u = np.meshgrid(np.linspace(-1, 1, 48), np.linspace(-1, 1, 64), indexing="ij")
+    light = np.stack(
+        [120 + 40 * u + 30 * v * v, 110 + 30 * v + 25 * u * u, 100 - 35 * np.sin(3 * u) + 20 * v],
+        axis=-1,
+    )
+    return np.rint(light).astype(np.uint8)
+
+
+OTHER_VIEWS = {
+    "mirrored left to right": lambda rgb: rgb[..., :, ::-1, :],
+    "turned by 180": lambda rgb: rgb[..., ::-1, ::-1, :],
+    "red and blue are swapped": lambda rgb: rgb[..., ::-1],
+}
+
+
+@pytest.mark.parametrize("view", OTHER_VIEWS)
+def test_a_background_or_images_of_another_view_are_noted(view):
+    rest = gel_at_rest()
+    images = [rest[None]] * 5
+    other = OTHER_VIEWS[view]
+    assert notes_on_views(images, rest, rest) == []
+    (note,) = notes_on_views(images, rest, other(rest))
+    assert note.startswith("the background does NOT match the training's: ")
+    assert view in note
+    (note,) = notes_on_views([other(one) for one in images], rest, rest)
+    assert note.startswith("the images do NOT match their background: ")
+    assert view in note
+    # One odd picture among many is none of the set.
+    assert notes_on_views([other(images[0]), *images], rest, rest) == []
+    assert notes_on_views(images, None, rest) == []
+
+
+def test_blank_images_lie_outside_of_a_wide_range():
+    """Contrast from 1 to 9 in training: half of that range below 1 is negative."""
+    card = SimpleNamespace(name="can", input_range=[(-1, 1)] * 3 + [(1, 9)] * 3, contrast=5.0)
+    blank, faint = ([[0.0] * 3 + [contrast] * 3] for contrast in (0.1, 0.6))
+    assert "1 of 1 grasps lies OUTSIDE" in notes_on_images(np.array(blank), card)[0]
+    assert notes_on_images(np.array(faint), card) == []

@@ -1,0 +1,98 @@
+"""The lamps at which a picture and its background were taken must not matter to what is read."""
+
+import numpy as np
+import pytest
+import trimesh
+
+import tacgen
+from tacgen.core.errors import TableError
+from tacgen.core.resources import sensor_files
+from tacgen.sensor.read_image import ImageReader
+
+BALL = trimesh.creation.icosphere(subdivisions=5, radius=4.0)
+FORCE_N = 4.0
+
+
+@pytest.fixture(scope="module", params=list(sensor_files()))
+def taken(request):
+    """A sensor, its gel at rest and a press, once for all lights."""
+    sensor = tacgen.Sensor(request.param)
+    return sensor, sensor.at_rest_rgb(), sensor.render(BALL, np.eye(4), FORCE_N).rgb
+
+
+def in_light(rgb, gain=1.0, grey=0.0, outwards=0.0):
+    """By channel; ``outwards`` is what the corners lose."""
+    v, u = np.meshgrid(*(np.linspace(-1, 1, n) for n in rgb.shape[:2]), indexing="ij")
+    field = np.asarray(gain) * (1.0 - outwards * (u**2 + v**2) / 2)[..., None]
+    return np.clip(np.rint(rgb * field + np.asarray(grey)), 0, 255).astype(np.uint8)
+
+
+LIGHTS = {
+    "0.7": {"gain": 0.7},
+    "0.9": {"gain": 0.9},
+    "1.1": {"gain": 1.1},
+    "1.3": {"gain": 1.3},
+    "by colour": {"gain": [0.8, 1.0, 0.9]},
+    "a pedestal": {"grey": 8.0},
+    "both": {"gain": 0.8, "grey": 8.0},
+    "vignetting": {"outwards": 0.25},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("light", LIGHTS)
+def test_a_picture_and_its_background_in_another_light_are_the_same_force(taken, light):
+    sensor, rest, press = taken
+    plain = ImageReader(sensor, rest).read(press).force_n[2]
+    reader = ImageReader(sensor, in_light(rest, **LIGHTS[light]))
+    found = reader.read(in_light(press, **LIGHTS[light]))
+    assert abs(found.force_n[2] - FORCE_N) < 2 * found.force_stderr_n[2]
+    if light != "1.3":  # where the camera clips: its error grows
+        assert found.force_n[2] == pytest.approx(plain, rel=0.03)
+        assert "background" not in found.message
+
+
+@pytest.mark.slow
+def test_a_light_out_of_range_is_stated(taken):
+    sensor, rest, press = taken
+    reader = ImageReader(sensor, in_light(rest, 0.5))
+    found = reader.read(in_light(press, 0.5))
+    assert "the background is 0.50, 0.50, 0.50 times as bright" in found.message
+    for lost in (0, 255):
+        with pytest.raises(TableError, match="the background does not match the table's"):
+            ImageReader(sensor, np.full_like(rest, lost))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise_grey", [0.0, 1.0, 3.0])
+def test_a_background_is_no_contact_with_itself(taken, noise_grey):
+    sensor, rest, _ = taken
+    rng = np.random.default_rng(0)
+    one, other = (in_light(rest, grey=noise_grey * rng.normal(size=rest.shape)) for _ in range(2))
+    found = ImageReader(sensor, one).read(other)
+    assert found.status == "no_contact"
+    assert not found.contact_mask.any()
+    assert found.force_n.tolist() == [0.0, 0.0, 0.0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", ["ball", "box"])
+@pytest.mark.parametrize("force_n", [0.5, 2.0, 4.0])
+def test_a_press_as_background_is_stated(taken, shape, force_n):
+    sensor, rest, press = taken
+    mesh = BALL if shape == "ball" else trimesh.creation.box([6, 4, 4])
+    pressed = sensor.render(mesh, np.eye(4), force_n).rgb
+    _height, width = rest.shape[:2]
+    for image in (press, pressed):
+        message = ImageReader(sensor, pressed).read(image).message
+        assert "the background may show a press" in message
+        assert f"at ({width // 2 - 1}" in message or f"at ({width // 2}" in message
+    assert "press" not in ImageReader(sensor, rest).read(press).message
+
+
+@pytest.mark.slow
+def test_a_grey_picture_is_refused(taken):
+    sensor, rest, press = taken
+    grey = np.repeat(press.mean(axis=2, keepdims=True), 3, axis=2).astype(np.uint8)
+    with pytest.raises(TableError, match="it is grey, its three channels are equal"):
+        ImageReader(sensor, rest).read(grey)
