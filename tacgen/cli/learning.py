@@ -153,20 +153,18 @@ def regrasp(
     workers: common.WorkersOption = common.AUTO,
     json_output: common.JsonFlag = False,
 ) -> None:
-    """Grasp, look, then lift or regrasp by a run's network; against no touch, chance and oracle."""
+    """Grasp, look, then lift or regrasp by a run's network; success against the first grasps."""
     from tacgen.learning import require_learning_extra
 
     require_learning_extra()
     from tacgen.collection.recipe import load_recipe
     from tacgen.core.progress import progress_counter
-    from tacgen.envs.regrasp import PAGE
+    from tacgen.envs.regrasp import Costs, regrasp_lines
     from tacgen.envs.regrasp import regrasp as play
-    from tacgen.envs.regrasp_page import regrasp_lines, write_regrasp_page
-    from tacgen.envs.regrasp_policies import Costs
 
     costs = Costs(drop_cost, regrasp_cost)
     with progress_counter("world") as show:
-        result, played = play(
+        result = play(
             run,
             load_recipe(recipe),
             out,
@@ -178,9 +176,7 @@ def regrasp(
             workers=workers,
             show=show,
         )
-    write_regrasp_page(out / PAGE, result, played)
     common.print_result(result, regrasp_lines(result), json_output)
-    common.hand_over(f"open {out / PAGE} in a browser")
 
 
 @common.app.command(rich_help_panel=common.NETWORKS)

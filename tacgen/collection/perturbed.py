@@ -1,7 +1,6 @@
 """Changes to the declared simulation, and grasps simulated with them, kept on disk."""
 
 import contextlib
-import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache, partial
@@ -14,7 +13,7 @@ from tacgen.collection.gel import contact_law, gel_patch, mounted_sensor
 from tacgen.collection.inputs import recipe_inputs
 from tacgen.collection.recipe import ObjectEntry, Recipe
 from tacgen.core.errors import DatasetError
-from tacgen.core.files import sha256_of_content
+from tacgen.core.files import append_json_lines, read_json_lines, sha256_of_content
 from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, Mesh, frozen_array
 from tacgen.core.workers import Report, run_tasks
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
@@ -404,11 +403,8 @@ class _Store:
         Damaged lines are passed over, and those of objects that were declared differently then.
         """
         found: dict[OutcomeKey, Outcome] = {}
-        if not self._path.is_file():
-            return found
-        for line in self._path.read_text(encoding="utf-8", errors="replace").splitlines():
-            with contextlib.suppress(ValueError, KeyError, TypeError, RecursionError):
-                data = json.loads(line)
+        for data in read_json_lines(self._path):
+            with contextlib.suppress(ValueError, KeyError, TypeError):
                 name, *numbers = data["grasp"]
                 if data["declared"] == self._made_with.get(name):
                     # Tuples became lists.
@@ -418,15 +414,13 @@ class _Store:
         return found
 
     def append(self, outcomes: Mapping[OutcomeKey, Outcome]) -> None:
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        with self._path.open("a+b") as file:
-            if file.tell() and self._path.read_bytes()[-1:] != b"\n":
-                file.write(b"\n")  # after a line that was cut short
-            for (place, change), one in outcomes.items():
-                line = {
-                    "declared": self._made_with[place[0]],
-                    "grasp": place,
-                    "changes": change.changes(),
-                    "outcome": asdict(one),
-                }
-                file.write(f"{json.dumps(line)}\n".encode())
+        lines = (
+            {
+                "declared": self._made_with[place[0]],
+                "grasp": place,
+                "changes": change.changes(),
+                "outcome": asdict(one),
+            }
+            for (place, change), one in outcomes.items()
+        )
+        append_json_lines(self._path, lines)

@@ -11,8 +11,9 @@ import numpy as np
 from manifold3d import Manifold
 from numpy.typing import NDArray
 
-from tacgen.core.records import PADS, GraspConfig, GraspObject, GraspTrace, Mesh
+from tacgen.core.records import PADS, GraspConfig, GraspObject, GraspTrace
 from tacgen.objects.meshes import from_manifold
+from tacgen.objects.pinhole import Solid, joined
 from tacgen.objects.shading import shaded_view
 from tacgen.physics import frames
 from tacgen.physics.gripper import GripperSpec
@@ -23,8 +24,6 @@ VIEW = {"azimuth_deg": -58.0, "elevation_deg": 22.0}
 PAD_COLOR, FINGER_COLOR, TABLE_COLOR = (236, 238, 240), (92, 100, 112), (222, 214, 200)
 _FINGER_TOP_MM = 65.5  # above the pads' centre, where fingers are cut off: objects fill the picture
 _TABLE_RADIUS_MM = 78.0
-
-Part = tuple[NDArray[np.float64], NDArray[np.int32], tuple[int, int, int]]
 
 
 def grasp_picture(
@@ -37,9 +36,11 @@ def grasp_picture(
         pose = pose_matrix(trace.object_pose[frame])
         openings_mm = pad_distances_mm(trace, frame)
     vertices = grasped.surface.vertices_mm @ pose[:3, :3].T + pose[:3, 3]
-    parts: list[Part] = [(vertices, grasped.surface.faces, grasped.color_rgb)]
+    parts = [Solid(vertices, grasped.surface.faces, grasped.color_rgb)]
     parts += [_table(), *_gripper(gripper, config, openings_mm)]
-    return _shade(parts)
+    mesh, of = joined(parts)
+    colors = np.array([part.color_rgb for part in parts], np.uint8)[of]
+    return shaded_view(mesh, colors, size_px=PICTURE_PX, **VIEW)
 
 
 def pose_matrix(pose: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -58,15 +59,15 @@ def pad_distances_mm(trace: GraspTrace, frame: int) -> dict[str, float]:
 
 
 @lru_cache(maxsize=1)
-def _table() -> Part:
+def _table() -> Solid:
     disc = Manifold.cylinder(3.0, _TABLE_RADIUS_MM, circular_segments=48, center=True)
     mesh = from_manifold(disc.translate((0.0, 0.0, -1.6)))
-    return mesh.vertices_mm, mesh.faces, TABLE_COLOR
+    return Solid(mesh.vertices_mm, mesh.faces, TABLE_COLOR)
 
 
 def _gripper(
     gripper: GripperSpec, config: GraspConfig, openings_mm: Mapping[str, float]
-) -> list[Part]:
+) -> list[Solid]:
     """Two fingers with their pads."""
     turn, (corners, faces) = frames.rotation_about_z(config.yaw_rad), unit_box()
     center_mm = np.array([config.x_mm, config.y_mm, config.z_mm])
@@ -75,7 +76,7 @@ def _gripper(
         opened_mm = np.array([gripper.side(pad).side * opening_mm, 0.0, 0.0])
         for extents, place, color in finger_boxes(gripper, pad):
             vertices = (corners * extents + (place + opened_mm)) @ turn.T + center_mm
-            parts.append((vertices, faces, color))
+            parts.append(Solid(vertices, faces, color))
     return parts
 
 
@@ -102,17 +103,3 @@ def unit_box() -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Vertices and faces of a cube of side 1 about the origin."""
     box = from_manifold(Manifold.cube((1.0, 1.0, 1.0), center=True))
     return box.vertices_mm, box.faces
-
-
-def _shade(parts: list[Part]) -> NDArray[np.uint8]:
-    starts = np.cumsum([0, *(len(vertices) for vertices, _, _ in parts)], dtype=np.int32)
-    vertices = np.concatenate([vertices for vertices, _, _ in parts])
-    faces = np.concatenate(
-        [faces + start for (_, faces, _), start in zip(parts, starts, strict=False)]
-    )
-    colors = np.repeat(
-        np.array([color for _, _, color in parts], dtype=np.uint8),
-        [len(faces) for _, faces, _ in parts],
-        axis=0,
-    )
-    return shaded_view(Mesh(vertices, faces), colors, size_px=PICTURE_PX, **VIEW)

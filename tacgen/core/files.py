@@ -11,6 +11,7 @@ import socket
 import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 from tacgen.core.errors import DatasetError, TacgenError
 from tacgen.core.lock import locked
@@ -103,6 +104,24 @@ def write_text(path: Path, text: str) -> None:
     """Write ``text`` as UTF-8, whole or not at all."""
     with atomic_path(path) as partial:
         partial.write_text(text, encoding="utf-8")
+
+
+def append_json_lines(path: Path, lines: Iterable[object]) -> None:
+    """Add lines of JSON to a file of finished work; one that was cut short is ended first."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a+b") as file:
+        file.seek(max(0, file.tell() - 1))
+        if file.read(1) not in (b"", b"\n"):
+            file.write(b"\n")
+        file.writelines(f"{json.dumps(line)}\n".encode() for line in lines)
+
+
+def read_json_lines(path: Path) -> Iterator[Any]:
+    """What each line of such a file holds, if there is one; damaged lines are passed over."""
+    if path.is_file():
+        for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+            with contextlib.suppress(ValueError, RecursionError):
+                yield json.loads(line)
 
 
 def refuse_foreign(folder: Path, mark: str, names: Iterable[str]) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.compiled import njit
-from tacgen.core.records import Camera
+from tacgen.core.records import Camera, Mesh
 from tacgen.objects.shading import nearest_face
 
 NEAR_MM = 1.0  # what is nearer to the pinhole is not seen
@@ -33,7 +33,15 @@ class Solid:
     vertices_mm: NDArray[np.float64]
     faces: NDArray[np.int32]
     color_rgb: tuple[int, int, int]
-    segment: int
+    segment: int = 0
+
+
+def joined(solids: Sequence[Solid]) -> tuple[Mesh, NDArray[np.int64]]:
+    """One mesh of all, and the number of the solid that each of its faces is of."""
+    starts = np.cumsum([0, *(len(solid.vertices_mm) for solid in solids)], dtype=np.int32)
+    faces = [solid.faces + start for solid, start in zip(solids, starts, strict=False)]
+    mesh = Mesh(np.concatenate([s.vertices_mm for s in solids]), np.concatenate(faces))
+    return mesh, np.repeat(np.arange(len(solids)), [len(solid.faces) for solid in solids])
 
 
 @njit(cache=True)
@@ -174,16 +182,13 @@ def pinhole_view(
     where there is nothing. Surfaces are matt, lit by lights that stand still in the world, without
     shadows; the background is white.
     """
-    starts = np.cumsum([0, *(len(solid.vertices_mm) for solid in solids)], dtype=np.int32)
-    vertices = np.concatenate([solid.vertices_mm for solid in solids])
-    faces = np.concatenate([s.faces + start for s, start in zip(solids, starts, strict=False)])
-    counts = [len(solid.faces) for solid in solids]
-    segment = np.repeat(np.array([solid.segment for solid in solids], np.uint8), counts)
-    plain = np.repeat(np.array([solid.color_rgb for solid in solids], np.float64), counts, axis=0)
+    mesh, of = joined(solids)
+    segment = np.array([solid.segment for solid in solids], np.uint8)[of]
+    plain = np.array([solid.color_rgb for solid in solids], np.float64)[of]
     lights = np.array(LIGHTS)
     lights[:, :3] /= np.sqrt((lights[:, :3] ** 2).sum(axis=1, keepdims=True))
-    color = np.minimum(plain * _brightness(vertices, faces, lights)[:, None], 255.0)
-    points, kept, source = _cut(_in_camera(vertices, camera.t_world_camera_mm), faces)
+    color = np.minimum(plain * _brightness(mesh.vertices_mm, mesh.faces, lights)[:, None], 255.0)
+    points, kept, source = _cut(_in_camera(mesh.vertices_mm, camera.t_world_camera_mm), mesh.faces)
     _onto_picture(points, camera.k_px, SAMPLES)
     height, width = camera.shape_px
     nearness, seen = nearest_face(points, kept, SAMPLES * height, SAMPLES * width)

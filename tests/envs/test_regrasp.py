@@ -1,12 +1,10 @@
-"""``tacgen regrasp`` from a collected dataset to its page, and what it refuses."""
+"""``tacgen regrasp`` from a collected dataset to its result, and what it refuses."""
 
 import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 pytest.importorskip("torch")
@@ -14,61 +12,27 @@ pytest.importorskip("torch")
 from tacgen.cli import main
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import load_recipe
-from tacgen.collection.run import collect
 from tacgen.core.errors import LearningError
 from tacgen.envs.regrasp import (
     RESULT,
     WORLDS,
-    Drawn,
-    Look,
-    Tried,
+    Costs,
     _checked_pad,
     _grasps_of,
-    _network_scores,
+    by_touch,
     look_rise_mm,
     regrasp,
+    simulate,
     standing_seeds,
 )
-from tacgen.envs.regrasp_page import _drawn, shown_episodes, write_regrasp_page
-from tacgen.envs.regrasp_policies import POLICIES, Costs
 from tacgen.learning.run_folder import RunFolder
-from tacgen.learning.train import train
-from tacgen.learning.training_recipe import TrainRecipe
+from tests.envs.regrasp_world import FEW, SECTIONS, regrasp_world
 from tests.small_world import write_world
-
-SECTIONS = {
-    "sensor": "recipes/sensors/coarse.yaml",
-    "grid": "{force_n: 22, y_mm: [-24, -8, 8, 24], z_mm: 90}",
-    "frames": "{mode: sequence, count: 3, span_s: 0.9}",
-    "dataset": "{shard_size: 4, markers: true, scene_pictures: false}",
-    "randomize": "{center_of_mass_mm: 15, friction_relative: 0.3}",
-}
-NETWORK = {
-    "name": "tiny",
-    "model": {"kind": "sequence", "weights": "none"},
-    "input": {
-        "size_px": [32, 32],
-        "channels": ["image", "markers"],
-        "frames": 2,
-        "until": "outcome",
-    },
-    "training": {"epochs": 1, "batch_size": 2},
-}
-SIDES = slice(12, 20), slice(22, 32)  # of an arrow from column 10 to 30
-FEW = {"costs": Costs(), "regrasps": 2, "episodes": 3, "worlds": 3}
 
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory) -> Path:
-    """A folder with a recipe and a network that was trained on 16 grasps of it."""
-    folder = tmp_path_factory.mktemp("regrasp")
-    recipe = write_world(folder, **SECTIONS)
-    more = {"grid": "{force_n: [10, 40], y_mm: {linspace: [-28, 28, 8]}, z_mm: 90}", "seed": "6"}
-    training = write_world(folder / "training", **(SECTIONS | more))
-    collect(load_recipe(training), folder / "data", workers=2)
-    train(TrainRecipe.model_validate(NETWORK), folder / "data", folder / "run")
-    assert recipe.name == "small.yaml"
-    return folder
+    return regrasp_world(tmp_path_factory.mktemp("regrasp"))
 
 
 @pytest.fixture(scope="module")
@@ -79,34 +43,38 @@ def result(world):
 pytestmark = pytest.mark.slow
 
 
-def test_every_policy_is_played_on_the_same_episodes(result):
-    scores, played = result
-    first = {key: listed for key, listed in played.episodes.items() if key[1] == 0}
-    starts = {tuple((e.seed, e.steps[0].grasp) for e in listed) for listed in first.values()}
-    assert len(starts) == 1
-    assert {key[0] for key in first} == set(POLICIES)
-    assert scores["policies"]["oracle"][2]["success"]["value"] >= max(
-        scores["policies"][name][2]["success"]["value"] for name in POLICIES
+def simulated_of(world: Path):
+    """From the finished worlds of ``result``."""
+    recipe = load_recipe(world / "small.yaml")
+    return simulate(
+        world / "run", recipe, world / "out", 3, 3, recipe.seed, 1, lambda done, total: None
     )
 
 
 def test_every_episode_ends_in_a_lift_that_is_counted(result):
-    scores, _ = result
-    for by_regrasps in scores["policies"].values():
-        for one in by_regrasps:
-            failed = sum(one["drops"].values()) + one["not_executed"]
-            assert one["success"]["value"] == pytest.approx(1 - failed / 3)
+    for one in result["by_touch"]:
+        failed = sum(one["drops"].values()) + one["not_executed"]
+        assert one["success"] == pytest.approx(1 - failed / 3)
+        low, high = one["interval"]
+        assert 0 <= low <= one["success"] <= high <= 1
+    own = result["by_object"]["sugar_box"]
+    assert own == {
+        "first": result["by_touch"][0]["success"],
+        "touch": result["by_touch"][2]["success"],
+    }
 
 
-def test_the_outcome_is_that_of_the_pipeline(result, world):
-    scores, played = result
-    recipe = load_recipe(world / "small.yaml")
-    with GraspPipeline(recipe) as pipeline:
-        for episode in played.episodes["touch", 2][:2]:
-            planned = played.grasps[episode.object][episode.steps[-1].grasp]
-            trace = pipeline.simulate(replace(planned, seed=episode.seed)).trace
-            assert episode.held == (trace.label == 1)
-    assert 5 < scores["test_lift_mm"] < 8  # 0.34 s at 120 mm/s² are 6.9 mm
+def test_the_outcomes_are_those_of_the_pipeline(result, world):
+    simulated = simulated_of(world)
+    episode = simulated.worlds_of(0, is_episode=True)[0]
+    with GraspPipeline(simulated.recipe) as pipeline:
+        for planned, holds in zip(
+            simulated.grasps["sugar_box"], simulated.holds(episode), strict=True
+        ):
+            assert holds == (
+                pipeline.simulate(replace(planned, seed=episode.seed)).trace.label == 1
+            )
+    assert 5 < result["test_lift_mm"] < 8  # 0.34 s at 120 mm/s² are 6.9 mm
 
 
 def test_it_goes_on_where_it_was_and_gives_the_same(result, world, tmp_path):
@@ -116,8 +84,8 @@ def test_it_goes_on_where_it_was_and_gives_the_same(result, world, tmp_path):
     (out / WORLDS).write_text("".join(lines[:2]) + lines[2][: len(lines[2]) // 2])
     (out / RESULT).unlink()
     recipe = load_recipe(world / "small.yaml")
-    again, _ = regrasp(world / "run", recipe, out, workers=2, **FEW)
-    assert again == result[0]
+    again = regrasp(world / "run", recipe, out, workers=2, **FEW)
+    assert again == result
     assert json.loads((out / RESULT).read_text()) == again
 
 
@@ -126,27 +94,10 @@ def test_other_costs_simulate_nothing_anew(result, world, tmp_path):
     shutil.copytree(world / "out", out)
     before = (out / WORLDS).read_bytes()
     recipe = load_recipe(world / "small.yaml")
-    cheap, _ = regrasp(world / "run", recipe, out, **(FEW | {"costs": Costs(1.0, 2.0)}))
+    cheap = regrasp(world / "run", recipe, out, **(FEW | {"costs": Costs(1.0, 2.0)}))
     assert (out / WORLDS).read_bytes() == before
     # A regrasp that costs more than a drop is never made.
-    assert [one["mean_regrasps"] for one in cheap["policies"]["touch"]] == [0, 0, 0]
-
-
-def test_the_page_shows_three_episodes(result, tmp_path):
-    scores, played = result
-    write_regrasp_page(tmp_path / "index.html", scores, played)
-    page = (tmp_path / "index.html").read_text()
-    shown = shown_episodes(played.episodes["touch", 2])
-    assert page.count("<figure>") == sum(len(one.steps) for one in shown)
-    assert "sugar_box" in page
-
-
-def test_markers_are_drawn_with_arrows_that_have_heads():
-    moved_mm = np.array([[[20.0, 0.0], [0.0, 0.0]]])
-    pad = SimpleNamespace(rgb=np.zeros((1, 60, 60, 3), np.uint8), markers_mm=moved_mm)
-    image = _drawn(Look(None, pad, [0]), np.array([[10.0, 30.0], [40.0, 30.0]]), 1.0)
-    height_px = [int((image[:, columns].max(axis=(1, 2)) > 100).sum()) for columns in SIDES]
-    assert height_px[0] == 1 < 3 <= height_px[1]
+    assert [one["mean_regrasps"] for one in cheap["by_touch"]] == [0, 0, 0]
 
 
 def test_the_command_prints_json(world, capsys, monkeypatch, result):
@@ -156,8 +107,13 @@ def test_the_command_prints_json(world, capsys, monkeypatch, result):
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code == 0
-    assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(result[0]))
-    assert (world / "out" / "index.html").is_file()
+    assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(result))
+
+
+def test_the_path_is_that_of_the_decision():
+    """The best other grasp is always the last but this; it holds for certain."""
+    path = by_touch(0, [0.2, 0.95, 0.6], Costs(1.0, 0.1), 3, lambda seen: (1, 1.0))
+    assert [(one.grasp, one.probability) for one in path] == [(0, 0.2), (1, 0.95)]
 
 
 def changed(world: Path, **sections: str):
@@ -191,18 +147,6 @@ def test_a_run_that_sees_a_camera_is_refused(world, tmp_path):
     path.write_text(json.dumps(plan))
     with pytest.raises(LearningError, match="sees a camera.*without the channel vision"):
         _checked_pad(tmp_path / "run", load_recipe(world / "small.yaml"))
-
-
-def test_the_networks_accuracy_is_that_of_what_it_saw():
-    """Two of three looks are right; grasps that show nothing would have made it 5 of 6."""
-    listed = [Tried(0.9, "held"), Tried(0.2, "rotational_slip"), Tried(0.7, "translational_slip")]
-    listed += [Tried(0.0, status) for status in ("no_contact", "unreachable", "crashed")]
-    worlds = {Drawn(0, 1, True): listed, Drawn(0, 2, False): [Tried(0.1, "held")] * 6}
-    scores = _network_scores(list(worlds), worlds)
-    assert scores == {"accuracy": pytest.approx(2 / 3), "holds": pytest.approx(1 / 3)}
-    nothing = {Drawn(0, 1, True): listed[3:]}
-    with pytest.raises(LearningError, match="no grasp of the episodes could be executed"):
-        _network_scores(list(nothing), nothing)
 
 
 def test_a_recipe_that_leaves_nothing_unknown_is_warned_of(world, tmp_path, capsys):

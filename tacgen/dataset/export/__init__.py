@@ -8,6 +8,7 @@ empty folder, and returns a few words on what it wrote; one that can do without 
 
 import contextlib
 import inspect
+import json
 from collections.abc import Iterator
 from functools import partial
 from importlib import import_module
@@ -88,10 +89,21 @@ def _touch_note(dataset: Dataset) -> str:
     return said + (f"; cameras {', '.join(dataset.cameras)}" if dataset.cameras else "")
 
 
-def camera_arrays(dataset: Dataset, sample: GraspSample) -> Iterator[tuple[str, Field, Any]]:
-    """(camera, field, values) of everything that the cameras saw of a grasp."""
-    for name, seen in sample.cameras.items():
-        yield from ((name, field, field.value(seen)) for field in dataset.layout.of_cameras)
+def arrays_of(dataset: Dataset, sample: GraspSample) -> Iterator[tuple[str, Field, Any]]:
+    """(pad or camera, field, values) of what is known of a grasp: its pads, then its cameras."""
+    owners = {"pad": sample.pads, "camera": sample.cameras}
+    for kind, named in owners.items():
+        fields = [field for field in dataset.layout.fields if field.of == kind]
+        for name, owner in named.items():
+            found = ((name, field, field.value(owner)) for field in fields)
+            yield from (one for one in found if one[2] is not None)
+
+
+def write_camera_facts(dataset: Dataset, folder: Path) -> None:
+    """Write what is known of each camera to ``cameras/<name>/camera.json``."""
+    for camera in dataset.cameras.values():
+        facts = json.dumps(camera_facts(camera), indent=1)
+        write_text(folder / "cameras" / camera.name / "camera.json", facts)
 
 
 def camera_facts(camera: Camera) -> dict[str, Any]:

@@ -1,18 +1,18 @@
 """Export to PNG images and CSV tables, with depth and the figures of each frame."""
 
-import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
-from tacgen.core.files import write_text
 from tacgen.core.images import encode_png
-from tacgen.dataset.export import camera_arrays, camera_facts, real_grasps
+from tacgen.dataset.export import arrays_of, real_grasps, write_camera_facts
 from tacgen.dataset.export.real_grasps import grasp_id, pad_suffix
 from tacgen.dataset.reader import Dataset
-from tacgen.dataset.samples import GraspSample, frame_columns, frame_flags
-from tacgen.dataset.schema import REST
+from tacgen.dataset.samples import frame_columns, frame_flags
+from tacgen.dataset.schema import REST, Field
 
 
 def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
@@ -31,7 +31,6 @@ def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
     real_grasps.write(dataset, grasps, folder)
     for index in map(int, grasps["index"]):
         sample, name = dataset.read(index), grasp_id(index)
-        _write_cameras(dataset, sample, folder / "cameras")
         for pad_name, pad in sample.pads.items():
             suffix = pad_suffix(dataset, pad_name)
             contact = folder / f"contact{suffix}"
@@ -40,27 +39,27 @@ def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
             flags = {flag: held.astype(int) for flag, held in frame_flags(pad).items()}
             forces = pd.DataFrame(times | frame_columns(pad) | flags)
             forces.to_csv(contact / f"{name}.csv", index=False)
-            for field in filter(lambda one: one.image, dataset.layout.of_pads):
-                place = folder / f"{field.name.rpartition('_')[0]}{suffix}"
+        for owner, field, values in arrays_of(dataset, sample):
+            if field.of == "camera":
+                _write_seen(folder / "cameras" / owner / field.name, name, field, values)
+            elif field.image and not field.noisy:
+                stem = field.name.rpartition("_")[0]
+                place = folder / f"{stem}{pad_suffix(dataset, owner)}"
                 place.mkdir(exist_ok=True)
-                np.save(place / f"{name}.npy", np.asarray(field.value(pad), np.float32))
+                np.save(place / f"{name}.npy", np.asarray(values, np.float32))
                 if field.rest:
-                    np.save(place / f"{REST}.npy", dataset.marker_rest_mm(pad_name))
-    for camera in dataset.cameras.values():
-        facts = json.dumps(camera_facts(camera), indent=1)
-        write_text(folder / "cameras" / camera.name / "camera.json", facts)
+                    np.save(place / f"{REST}.npy", dataset.marker_rest_mm(owner))
+    write_camera_facts(dataset, folder)
     pads = "" if len(dataset.pads) == 1 else f", {' and '.join(dataset.pads)} pad apart"
     return f"{len(grasps)} grasps as PNG and CSV{pads}"
 
 
-def _write_cameras(dataset: Dataset, sample: GraspSample, folder: Path) -> None:
-    name = grasp_id(sample.config.index)
-    for camera, field, values in camera_arrays(dataset, sample):
-        place = folder / camera / field.name
-        if field.dtype != "uint8":
-            place.mkdir(parents=True, exist_ok=True)
-            np.save(place / f"{name}.npy", values)
-            continue
-        (place / name).mkdir(parents=True)
-        for k, image in enumerate(values if field.is_of_frames else [values]):
-            (place / name / f"{k}.png").write_bytes(encode_png(image))
+def _write_seen(place: Path, name: str, field: Field, values: NDArray[Any]) -> None:
+    """What a camera saw of a grasp: images as PNG, its depth as an array."""
+    if field.dtype != "uint8":
+        place.mkdir(parents=True, exist_ok=True)
+        np.save(place / f"{name}.npy", values)
+        return
+    (place / name).mkdir(parents=True)
+    for k, image in enumerate(values if field.is_of_frames else [values]):
+        (place / name / f"{k}.png").write_bytes(encode_png(image))

@@ -22,10 +22,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tacgen.core.errors import DatasetError
-from tacgen.core.files import write_text
 from tacgen.core.images import encode_png
 from tacgen.core.optional_dependencies import require_extra
-from tacgen.dataset.export import camera_arrays, camera_facts, origin
+from tacgen.dataset.export import arrays_of, camera_facts, origin, write_camera_facts
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample, frame_columns, frame_flags
 from tacgen.dataset.schema import ACTION, FLAG_FIELDS, REST, SPLITS, STATE_FIELDS
@@ -241,18 +240,18 @@ class _Export:
             self.parts.setdefault(key, []).append(part)
             found = _stats([part], n_frames, self.features[key])
             stats |= {f"stats/{key}/{name}": value for name, value in found.items()}
-        for pad, frames in sample.pads.items():
-            if frames.depth_mm is not None:
-                # Grey levels have no room for it: beside the frames, as an array an episode.
-                place = self.root / "depth_mm"
-                place.mkdir(exist_ok=True)
-                np.save(place / f"episode_{episode:06d}_{pad}.npy", frames.depth_mm)
-        features = _camera_names(self.dataset)
-        for camera, one, seen in camera_arrays(self.dataset, sample):
-            if one.name != "rgb" or camera not in features:
-                place = self.root / "cameras" / camera / one.name
-                place.mkdir(parents=True, exist_ok=True)
-                np.save(place / f"episode_{episode:06d}.npy", seen)
+        in_frames = _camera_names(self.dataset)
+        for owner, one, seen in arrays_of(self.dataset, sample):
+            # Grey levels have no room for depth: beside the frames, as an array an episode.
+            name = f"cameras/{owner}/{one.name}/episode_{episode:06d}"
+            is_beside = one.name != "rgb" or owner not in in_frames
+            if one.of == "pad":
+                name = f"{one.name}/episode_{episode:06d}_{owner}"
+                is_beside = one.name == "depth_mm"
+            if is_beside:
+                place = self.root / f"{name}.npy"
+                place.parent.mkdir(parents=True, exist_ok=True)
+                np.save(place, seen)
         self._write_frames(values)
         about = {
             "episode_index": episode,
@@ -363,9 +362,7 @@ class _Export:
         stats = {
             key: _stats(parts, n_frames, self.features[key]) for key, parts in self.parts.items()
         }
-        for camera in self.dataset.cameras.values():
-            facts = json.dumps(camera_facts(camera), indent=1)
-            write_text(self.root / "cameras" / camera.name / "camera.json", facts)
+        write_camera_facts(self.dataset, self.root)
         meta = self.root / "meta"
         episodes = meta / "episodes/chunk-000/file-000.parquet"
         episodes.parent.mkdir(parents=True)

@@ -27,10 +27,10 @@ from numpy.typing import NDArray
 from tacgen.core.arrays import FloatArray
 from tacgen.core.disk import DiskFile
 from tacgen.core.records import LABEL_SUCCESS
-from tacgen.dataset.export import camera_arrays, camera_facts
+from tacgen.dataset.export import arrays_of, camera_facts
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample
-from tacgen.dataset.schema import ACTION, Field, Layout
+from tacgen.dataset.schema import ACTION, Field
 
 FILE = "grasps.hdf5"
 VALID_FRACTION = 0.1  # of the training grasps of each outcome, rounded up; never all of them
@@ -49,11 +49,15 @@ def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
     with DiskFile(folder / FILE) as disk, h5py.File(disk, "w") as file:
         data = file.create_group("data")
         names = np.array([f"demo_{k}" for k in range(len(grasps))], dtype="S")
-        for name, index, action in zip(names, grasps["index"], actions, strict=True):
-            demo, sample = data.create_group(name.decode()), dataset.read(int(index))
-            _write_demo(demo, sample, dataset.layout, action)
-            for camera, field, values in camera_arrays(dataset, sample):
-                _write_array(demo, f"camera_{camera}_{field.name}", field, values)
+        for demo_name, index, action in zip(names, grasps["index"], actions, strict=True):
+            demo, sample = data.create_group(demo_name.decode()), dataset.read(int(index))
+            _write_demo(demo, sample, action)
+            for owner, field, values in arrays_of(dataset, sample):
+                name = f"camera_{owner}" if field.of == "camera" else owner
+                name = f"{name}_{field.name}"
+                if field.of == "pad" and not field.is_of_frames:
+                    name = f"{field.name}/{owner}"
+                _write_array(demo, name, field, values)
             write_next(demo)
             disk.raise_failure()
         data.attrs["total"] = len(grasps) * dataset.n_frames
@@ -90,7 +94,7 @@ def _scaled(values: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray
     return np.asarray(np.clip(scaled, -1.0, 1.0))
 
 
-def _write_demo(demo: h5py.Group, sample: GraspSample, layout: Layout, action: FloatArray) -> None:
+def _write_demo(demo: h5py.Group, sample: GraspSample, action: FloatArray) -> None:
     object_pose = np.asarray(sample.object_pose)
     count = len(object_pose)
     rewards, dones = np.zeros(count), np.zeros(count, np.int64)
@@ -99,15 +103,7 @@ def _write_demo(demo: h5py.Group, sample: GraspSample, layout: Layout, action: F
     demo.attrs.update({"num_samples": count, "object": sample.config.object, **moment})
     demo["actions"] = np.tile(action, (count, 1))
     demo["rewards"], demo["dones"] = rewards, dones
-    observed = demo.create_group("obs")
-    observed["object_pose"] = object_pose
-    for pad, frames in sample.pads.items():
-        options = {"chunks": (1, *frames.rgb.shape[1:]), "compression": "gzip"}
-        observed.create_dataset(f"{pad}_rgb", data=frames.rgb, **options)
-        for field in layout.of_pads:
-            if (values := field.value(frames)) is not None:
-                name = f"{pad}_{field.name}" if field.is_of_frames else f"{field.name}/{pad}"
-                _write_array(demo, name, field, values)
+    demo.create_group("obs")["object_pose"] = object_pose
 
 
 def _write_array(demo: h5py.Group, name: str, field: Field, values: NDArray[Any]) -> None:

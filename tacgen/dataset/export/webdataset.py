@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from tacgen.core.images import encode_png
-from tacgen.dataset.export import camera_arrays, camera_facts
+from tacgen.dataset.export import arrays_of, camera_facts
 from tacgen.dataset.export.real_grasps import grasp_id
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample
@@ -51,20 +51,15 @@ def _files(
         about["cameras"] = {name: camera_facts(one) for name, one in dataset.cameras.items()}
     yield "json", json.dumps(about, default=lambda value: value.item()).encode()
     yield "object_pose.npy", _npy(np.asarray(sample.object_pose))
-    for pad, frames in sample.pads.items():
-        for k, rgb in enumerate(frames.rgb):
-            yield f"{pad}.{k}.png", encode_png(rgb)
-        for field in dataset.layout.of_pads:
-            if (values := field.value(frames)) is not None:
-                yield f"{pad}.{field.name}.npy", _npy(values)
-            if field.rest:
-                yield f"{pad}.{field.rest}.npy", _npy(dataset.marker_rest_mm(pad))
-    for camera, field, values in camera_arrays(dataset, sample):
+    for owner, field, values in arrays_of(dataset, sample):
+        name = f"camera.{owner}" if field.of == "camera" else owner
         if field.name == "rgb":
             for k, rgb in enumerate(values if field.is_of_frames else [values]):
-                yield f"camera.{camera}.{k}.png", encode_png(rgb)
+                yield f"{name}.{k}.png", encode_png(rgb)
         else:
-            yield f"camera.{camera}.{field.name}.npy", _npy(values)
+            yield f"{name}.{field.name}.npy", _npy(values)
+        if field.rest:
+            yield f"{name}.{field.rest}.npy", _npy(dataset.marker_rest_mm(owner))
 
 
 def _npy(array: np.ndarray[Any, np.dtype[Any]]) -> bytes:

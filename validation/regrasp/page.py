@@ -1,4 +1,4 @@
-"""The report page of ``tacgen regrasp``: success over regrasps, drops avoided, three episodes."""
+"""The page of the study of regrasping: success over regrasps, drops avoided, three episodes."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from tacgen.collection.pipeline import GraspPipeline, tactile_pad
 from tacgen.dataset import overlays
-from tacgen.envs.regrasp import Episode, Look, Played, look_at
-from tacgen.envs.regrasp_policies import POLICIES
+from tacgen.envs.regrasp import Look, look_at
 from tacgen.report.figures import GROUP_COLORS, new_figure
 from tacgen.report.formatting import percent
 from tacgen.report.page import (
@@ -23,6 +22,8 @@ from tacgen.report.page import (
     text_section,
     write_page,
 )
+from validation.regrasp.policies import POLICIES
+from validation.regrasp.study import Episode, Played
 
 NAMES = {
     "touch": "by touch",
@@ -45,7 +46,7 @@ LOOKS = {
 }
 
 
-def regrasp_lines(result: Mapping[str, Any]) -> list[str]:
+def study_lines(result: Mapping[str, Any]) -> list[str]:
     """The result for a terminal, a line a policy."""
     head = f"{'':26s} success after 0 to {result['regrasps']} regrasps; of the oracle's gain"
     lines = [head]
@@ -56,8 +57,8 @@ def regrasp_lines(result: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def write_regrasp_page(path: Path, result: Mapping[str, Any], played: Played) -> None:
-    """Write the page of what ``regrasp`` returns; the shown grasps are simulated again."""
+def write_study_page(path: Path, result: Mapping[str, Any], played: Played) -> None:
+    """Write the page of what ``study`` returns; the shown grasps are simulated again."""
     policies, allowed = result["policies"], result["regrasps"]
     touch, blind = policies["touch"], policies["blind"]
     before, after = _success(touch[0]), _success(touch[-1])
@@ -133,7 +134,7 @@ def write_regrasp_page(path: Path, result: Mapping[str, Any], played: Played) ->
         path,
         f"Regrasping by touch: {result['recipe']}",
         sections,
-        made_by="regrasp",
+        made_by="validation.regrasp",
         summary=f"Success {before} of the first grasps, {after} after at most {allowed} regrasps "
         f"by touch: {_rate(share)} of the oracle's gain.",
     )
@@ -182,16 +183,18 @@ def _film(played: Played, allowed: int) -> list[PageSection]:
     chosen = shown_episodes(played.episodes["touch", allowed])
     if not chosen:
         return []
-    sections = []
-    with GraspPipeline(played.recipe) as pipeline:
-        pad = tactile_pad(played.recipe)
+    sections, simulated = [], played.simulated
+    with GraspPipeline(simulated.recipe) as pipeline:
+        pad = tactile_pad(simulated.recipe)
         rest_px = overlays.to_pixels(pad.marker_rest_mm, pad.sensor.mm_per_px, pad.sensor.shape_px)
         for episode in chosen:
-            grasps = played.grasps[episode.object]
+            grasps = simulated.grasps[episode.object]
             items = []
             for number, step in enumerate(episode.steps, 1):
                 planned = grasps[step.grasp]
-                look = look_at(pipeline, planned, episode.seed, step.grasp, played.spec, played.pad)
+                look = look_at(
+                    pipeline, planned, episode.seed, step.grasp, simulated.spec, simulated.pad
+                )
                 last = number == len(episode.steps)
                 done = f"lifted: {OUTCOMES[episode.outcome]}" if last else "regrasp"
                 config = planned.config

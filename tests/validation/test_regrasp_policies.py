@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from tacgen.core.errors import LearningError
-from tacgen.envs.regrasp_policies import (
-    LOOK_SPREAD,
+
+pytest.importorskip("torch")
+
+from tacgen.envs.regrasp import LOOK_SPREAD, Belief, Costs
+from validation.regrasp.policies import (
     POLICIES,
-    Belief,
-    Costs,
     Rate,
     play,
     resampled_episodes,

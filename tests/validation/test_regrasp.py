@@ -1,0 +1,105 @@
+"""The study of regrasping: every policy on the same episodes, and its page."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+
+from tacgen.collection.recipe import load_recipe
+from tacgen.core.errors import LearningError
+from tacgen.envs.regrasp import Drawn, Look, Simulated, Tried, regrasp
+from tests.envs.regrasp_world import FEW, regrasp_world
+from validation.regrasp.__main__ import main
+from validation.regrasp.page import _drawn, shown_episodes, write_study_page
+from validation.regrasp.policies import POLICIES
+from validation.regrasp.study import _network_scores, study
+
+SIDES = slice(12, 20), slice(22, 32)  # of an arrow from column 10 to 30
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory) -> Path:
+    return regrasp_world(tmp_path_factory.mktemp("regrasp"))
+
+
+@pytest.fixture(scope="module")
+def result(world):
+    return study(world / "run", load_recipe(world / "small.yaml"), world / "out", **FEW)
+
+
+def test_every_policy_is_played_on_the_same_episodes(result):
+    scores, played = result
+    first = {key: listed for key, listed in played.episodes.items() if key[1] == 0}
+    starts = {tuple((e.seed, e.steps[0].grasp) for e in listed) for listed in first.values()}
+    assert len(starts) == 1
+    assert {key[0] for key in first} == set(POLICIES)
+    assert scores["policies"]["oracle"][2]["success"]["value"] >= max(
+        scores["policies"][name][2]["success"]["value"] for name in POLICIES
+    )
+
+
+def test_every_episode_ends_in_a_lift_that_is_counted(result):
+    scores, _ = result
+    for by_regrasps in scores["policies"].values():
+        for one in by_regrasps:
+            failed = sum(one["drops"].values()) + one["not_executed"]
+            assert one["success"]["value"] == pytest.approx(1 - failed / 3)
+
+
+def test_by_touch_is_what_the_command_plays(result, world):
+    """On the worlds that the study has simulated."""
+    played = regrasp(world / "run", load_recipe(world / "small.yaml"), world / "out", **FEW)
+    of_study = result[0]["policies"]["touch"]
+    assert [one["success"] for one in played["by_touch"]] == [
+        one["success"]["value"] for one in of_study
+    ]
+    same = ("mean_regrasps", "drops", "not_executed")
+    for mine, other in zip(played["by_touch"], of_study, strict=True):
+        assert [mine[name] for name in same] == [other[name] for name in same]
+
+
+def test_the_study_prints_a_line_a_policy(result, world, capsys, monkeypatch):
+    words = [str(world / "run"), str(world / "small.yaml"), "--out", str(world / "out")]
+    options = ["--episodes", "3", "--worlds", "3", "--regrasps", "2"]
+    monkeypatch.setattr("sys.argv", ["validation.regrasp", *words, *options])
+    main()
+    assert len(capsys.readouterr().out.splitlines()) == 1 + len(POLICIES)
+    assert (world / "out" / "index.html").is_file()
+
+
+def test_the_page_shows_three_episodes(result, tmp_path):
+    scores, played = result
+    write_study_page(tmp_path / "index.html", scores, played)
+    page = (tmp_path / "index.html").read_text()
+    shown = shown_episodes(played.episodes["touch", 2])
+    assert page.count("<figure>") == sum(len(one.steps) for one in shown)
+    assert "sugar_box" in page
+
+
+def test_markers_are_drawn_with_arrows_that_have_heads():
+    moved_mm = np.array([[[20.0, 0.0], [0.0, 0.0]]])
+    pad = SimpleNamespace(rgb=np.zeros((1, 60, 60, 3), np.uint8), markers_mm=moved_mm)
+    image = _drawn(Look(None, pad, [0]), np.array([[10.0, 30.0], [40.0, 30.0]]), 1.0)
+    height_px = [int((image[:, columns].max(axis=(1, 2)) > 100).sum()) for columns in SIDES]
+    assert height_px[0] == 1 < 3 <= height_px[1]
+
+
+def test_the_networks_accuracy_is_that_of_what_it_saw():
+    """Two of three looks are right; grasps that show nothing would have made it 5 of 6."""
+    listed = [Tried(0.9, "held"), Tried(0.2, "rotational_slip"), Tried(0.7, "translational_slip")]
+    listed += [Tried(0.0, status) for status in ("no_contact", "unreachable", "crashed")]
+    worlds = {Drawn(0, 1, True): listed, Drawn(0, 2, False): [Tried(0.1, "held")] * 6}
+    scores = _network_scores(simulated(worlds))
+    assert scores == {"accuracy": pytest.approx(2 / 3), "holds": pytest.approx(1 / 3)}
+    nothing = {Drawn(0, 1, True): listed[3:]}
+    with pytest.raises(LearningError, match="no grasp of the episodes could be executed"):
+        _network_scores(simulated(nothing))
+
+
+def simulated(worlds: dict[Drawn, list[Tried]]) -> Simulated:
+    return Simulated(None, None, "left", {}, worlds)
