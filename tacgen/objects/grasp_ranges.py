@@ -80,6 +80,7 @@ def suggest_places(
     ranges = {"force_n": FORCES_N, "x_mm": (0.0,), "y_mm": sides, "z_mm": _heights(surface)}
     places = set(itertools.product(sides, ranges["z_mm"]))
     met = {place for place in places if _meets_window(surface, *place)}
+    met = met or {place for place in places if graspable(surface, *place)}
     if not met:
         note = "no place at which the pads meet it across x; set grasp_ranges by hand"
         return {**ranges, "y_mm": (middle,)}, [note]
@@ -131,6 +132,12 @@ def _sides(surface: Mesh, center_y_mm: float, reach_mm: float) -> tuple[tuple[fl
     steps = np.linspace(0.0, 1.0, CANDIDATES // 2 + 1)
     sides = [middle_mm + steps * (end_mm - middle_mm) for end_mm in (first_mm, last_mm)]
     return _distinct(np.sort(np.concatenate(sides))), _distinct([middle_mm])[0]
+
+
+def faces_pads(surface: Mesh) -> bool:
+    """Whether both pads meet the thickest part of its body within what all sensors see."""
+    _, middle_mm = _sides(surface, 0.0, np.inf)
+    return any(_meets_window(surface, middle_mm, z_mm) for z_mm in _heights(surface))
 
 
 def _meets_window(surface: Mesh, y_mm: float, z_mm: float) -> bool:
