@@ -23,8 +23,8 @@ from tacgen.objects.description import NAME_PATTERN
 from tacgen.objects.grasp_ranges import (
     DOME_RADIUS_MM,
     TouchError,
-    facet_note,
     faces_pads,
+    facet_note,
     largest_grid,
     suggest_places,
     suggest_yaw,

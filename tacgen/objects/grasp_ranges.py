@@ -18,7 +18,7 @@ from tacgen.physics.margins import dome_patch, torsion_arm_mm
 from tacgen.physics.settings import PhysicsSettings
 from tacgen.physics.world import ball_of
 
-MARGIN_MM = 5.0  # to either side between open pads and the object
+MARGIN_MM = 5.0  # between the open gripper and the object: to either side, and under the palm
 GEL_REACH_MM = 0.5  # indentation of a flat face at a moderate force; a gel is 2 to 4 mm thick
 RASTER_MM = 0.5  # of the views from a pad
 TOUCH_RASTER_MM = 0.2  # a touch is found to half of it
@@ -105,8 +105,11 @@ def _count(ranges: Mapping[str, tuple[float, ...]]) -> int:
 
 
 def _heights(surface: Mesh) -> tuple[float, ...]:
-    """Heights of the pads' middle, evenly up to where the top is in view."""
-    lowest_mm, top_mm = default_gripper().lowest_mm, float(surface.vertices_mm[:, 2].max())
+    """Heights of the pads' middle, evenly from clear of table and palm to where the top is seen."""
+    gripper, top_mm = default_gripper(), float(surface.vertices_mm[:, 2].max())
+    half_mm, palm_mm = gripper.hand.box.half_and_center_mm
+    fingers_mm = float(palm_mm[2] - half_mm[2])
+    lowest_mm = max(gripper.lowest_mm, top_mm - fingers_mm + MARGIN_MM)
     return _distinct(np.linspace(lowest_mm, max(lowest_mm, top_mm - RIM_MM), CANDIDATES))
 
 
