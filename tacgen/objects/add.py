@@ -23,8 +23,8 @@ from tacgen.objects.description import NAME_PATTERN
 from tacgen.objects.grasp_ranges import (
     DOME_RADIUS_MM,
     TouchError,
+    faces_pads,
     facet_note,
-    graspable,
     largest_grid,
     suggest_places,
     suggest_yaw,
@@ -201,12 +201,11 @@ def _turned(surface: Mesh, yaw_rad: float | None) -> tuple[float, Mesh, list[str
         surface = placed(surface, rotation_about_z(-yaw_rad))
     heights = [share * float(np.ptp(surface.vertices_mm[:, 2])) for share in (0.25, 0.5, 0.75)]
     better_rad = suggest_yaw(surface, heights)
-    if better_rad and yaw_rad is None and not any(graspable(surface, 0.0, z) for z in heights):
-        size_mm = np.ptp(surface.vertices_mm[:, 0])
+    if better_rad and yaw_rad is None and not faces_pads(surface):
         surface = placed(surface, rotation_about_z(-better_rad))
         notes.append(
-            f"{size_mm:.0f} mm along x, where the pads do not meet it: turned by "
-            f"{-better_rad:.3f} rad about z, so that they do; --yaw 0 keeps it"
+            f"the pads do not meet it face to face along x: turned by {-better_rad:.3f} rad about "
+            "z, so that they do; --yaw 0 keeps it"
         )
         return better_rad, surface, notes
     if better_rad:

@@ -18,7 +18,7 @@ from tacgen.physics.margins import dome_patch, torsion_arm_mm
 from tacgen.physics.settings import PhysicsSettings
 from tacgen.physics.world import ball_of
 
-MARGIN_MM = 5.0  # to either side between open pads and the object
+MARGIN_MM = 5.0  # between the open gripper and the object: to either side, and under the palm
 GEL_REACH_MM = 0.5  # indentation of a flat face at a moderate force; a gel is 2 to 4 mm thick
 RASTER_MM = 0.5  # of the views from a pad
 TOUCH_RASTER_MM = 0.2  # a touch is found to half of it
@@ -80,6 +80,7 @@ def suggest_places(
     ranges = {"force_n": FORCES_N, "x_mm": (0.0,), "y_mm": sides, "z_mm": _heights(surface)}
     places = set(itertools.product(sides, ranges["z_mm"]))
     met = {place for place in places if _meets_window(surface, *place)}
+    met = met or {place for place in places if graspable(surface, *place)}
     if not met:
         note = "no place at which the pads meet it across x; set grasp_ranges by hand"
         return {**ranges, "y_mm": (middle,)}, [note]
@@ -104,8 +105,11 @@ def _count(ranges: Mapping[str, tuple[float, ...]]) -> int:
 
 
 def _heights(surface: Mesh) -> tuple[float, ...]:
-    """Heights of the pads' middle, evenly up to where the top is in view."""
-    lowest_mm, top_mm = default_gripper().lowest_mm, float(surface.vertices_mm[:, 2].max())
+    """Heights of the pads' middle, evenly from clear of table and palm to where the top is seen."""
+    gripper, top_mm = default_gripper(), float(surface.vertices_mm[:, 2].max())
+    half_mm, palm_mm = gripper.hand.box.half_and_center_mm
+    fingers_mm = float(palm_mm[2] - half_mm[2])
+    lowest_mm = max(gripper.lowest_mm, top_mm - fingers_mm + MARGIN_MM)
     return _distinct(np.linspace(lowest_mm, max(lowest_mm, top_mm - RIM_MM), CANDIDATES))
 
 
@@ -131,6 +135,12 @@ def _sides(surface: Mesh, center_y_mm: float, reach_mm: float) -> tuple[tuple[fl
     steps = np.linspace(0.0, 1.0, CANDIDATES // 2 + 1)
     sides = [middle_mm + steps * (end_mm - middle_mm) for end_mm in (first_mm, last_mm)]
     return _distinct(np.sort(np.concatenate(sides))), _distinct([middle_mm])[0]
+
+
+def faces_pads(surface: Mesh) -> bool:
+    """Whether both pads meet the thickest part of its body within what all sensors see."""
+    _, middle_mm = _sides(surface, 0.0, np.inf)
+    return any(_meets_window(surface, middle_mm, z_mm) for z_mm in _heights(surface))
 
 
 def _meets_window(surface: Mesh, y_mm: float, z_mm: float) -> bool:

@@ -9,7 +9,7 @@ from tacgen.cli import app
 from tacgen.collection.recipe import load_recipe
 from tacgen.core.records import Mesh
 from tacgen.objects.add import add_object
-from tacgen.objects.grasp_ranges import FORCES_N, suggest_places
+from tacgen.objects.grasp_ranges import FORCES_N, _heights, faces_pads, suggest_places, suggest_yaw
 from tacgen.objects.showing import is_shown
 from tacgen.objects.trial import SUCCESSES, _mixed
 from validation.objects.visible_grasps import measured, recipe_of
@@ -75,6 +75,24 @@ def test_a_wrench_of_6_mm_is_held_as_near_the_pads_middle_as_the_table_allows_an
     assert ranges["z_mm"] == (10.5,)  # the pads' lower edge is 1 mm above the table
     assert all(is_shown(surface, y, 10.5, 5.0) for y in ranges["y_mm"])
     assert min(abs(y) for y in ranges["y_mm"]) <= 1.0  # by its middle
+
+
+def test_a_tall_box_is_held_where_the_palm_clears_its_top():
+    lowest_mm, *_ = _heights(surface_of(trimesh.creation.box((70.0, 60.0, 213.0))))
+    assert lowest_mm == 213.0 - 150.0 + 5.0  # the fingers are 150 mm long, and 5 mm are clear
+
+
+def test_pads_do_not_meet_a_box_that_stands_askew_but_by_its_edges():
+    """First touches then lie at the ends of both pads, as of YCB's gelatin box as it is scanned."""
+    box = trimesh.creation.box((28.0, 74.0, 88.0))
+    assert faces_pads(surface_of(box.copy()))
+    for turned_deg in (-60.0, -20.0, 25.0):
+        turn = trimesh.transformations.rotation_matrix(np.radians(turned_deg), [0, 0, 1])
+        surface = surface_of(box.copy().apply_transform(turn))
+        assert not faces_pads(surface)
+        yaw_deg = np.degrees(suggest_yaw(surface, [22.0, 44.0, 66.0]))
+        off_deg = (yaw_deg - turned_deg + 45.0) % 90.0 - 45.0  # by either pair of faces
+        assert abs(off_deg) <= 1.0
 
 
 def test_a_face_larger_than_the_window_shows_nothing_and_its_rim_does():

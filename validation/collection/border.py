@@ -8,7 +8,7 @@ classifiers of the commanded parameters learn from what they took: the trees of 
 ``border.png``: accuracy against the number of grasps, and what part of the random grasps the others
 need for the same accuracy.
 
-The method was chosen on sugar_box; the objects below are those of ``stability``.
+The method was chosen on sugar_box; the objects below are four others.
 """
 
 import argparse
