@@ -49,6 +49,20 @@ def test_a_picture_shows_the_rendered_and_the_real_press(tmp_path):
     assert real.shape[1] > virtual.shape[1]  # one more picture
 
 
+def test_every_sensor_with_real_colours_ships_a_real_press_in_its_own_size():
+    folder = packaged("recipes") / "sensors"
+    real = sorted(path.name.removesuffix(".press.jpg") for path in folder.glob("*.press.jpg"))
+    assert real == ["digit", "gelsight", "gelsight_mini"]
+    for name in real:
+        background = tacgen.Sensor(name).at_rest_rgb().astype(float)
+        press = read_rgb(folder / f"{name}.press.jpg")
+        assert press.shape == background.shape
+        # Most of it is bare gel, in the colours of the table; some of it is pressed.
+        change = np.abs(press - background).max(axis=2)
+        assert np.median(change) < 8
+        assert np.percentile(change, 99) > 30
+
+
 def test_a_calibrated_table_becomes_a_sensor(tmp_path, monkeypatch):
     table = Path(tacgen.Sensor("virtual_gelsight").description.table).resolve()
     monkeypatch.chdir(tmp_path)

@@ -5,7 +5,6 @@ import sys
 import numpy as np
 import pytest
 
-from tacgen.sensor.description import load_sensor
 from validation.optics.peers import peer_ms, presses, write_presses
 
 FAKE_TACTO = """
@@ -38,8 +37,8 @@ def test_a_peer_is_timed_on_every_press_and_an_error_is_its_last_line(tmp_path):
 
 
 def test_presses_lose_the_volume_that_was_asked_for(tmp_path):
-    write_presses("digit", tmp_path / "presses.npz")
+    write_presses("tacto", tmp_path / "presses.npz")
     with np.load(tmp_path / "presses.npz") as file:
-        volumes_mm3 = file["depth_mm"].sum(axis=(1, 2)) * load_sensor("digit").pixel_area_mm2
+        volumes_mm3 = file["depth_mm"].sum(axis=(1, 2)) * float(file["mm_per_px"]) ** 2
         np.testing.assert_allclose(volumes_mm3, 20.0, rtol=1e-4)
         assert len(list(presses())) == len(volumes_mm3)

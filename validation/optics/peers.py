@@ -22,12 +22,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.records import Mesh, Sensor
 from tacgen.objects import load_object
-from tacgen.optics import load_table
+from tacgen.optics import LookupTable, load_table
 from tacgen.sensor.description import load_sensor
 from tacgen.sensor.gel_response import GelLoad
 from tacgen.sensor.tactile_pad import Imprint, TactilePad
@@ -35,8 +36,9 @@ from validation.optics.peer_runner import least_ms
 
 OBJECTS = ("tomato_soup_can", "golf_ball", "rubiks_cube", "strawberry", "mustard_bottle")
 VOLUME_MM3 = 20.0
-PEERS = {"Taxim": "gelsight", "FOTS": "digit", "tacto": "digit"}
-"""A sensor of tacgen whose image is of the size that the peer's own code is written for."""
+PEERS = {"Taxim": ("gelsight", 1), "FOTS": ("digit", 2), "tacto": ("digit", 2)}
+"""A sensor of tacgen, and how many of its pixels in a row are one in the size that the peer's own
+code is written for: 640 × 480 and 240 × 320."""
 RUNNER = Path(__file__).with_name("peer_runner.py")
 
 
@@ -60,16 +62,28 @@ def presses() -> Iterator[Press]:
         yield Press(surface, pose)
 
 
-def _sensor(name: str) -> Sensor:
-    """A sensor whose gel ends where its window does, as the peers' do."""
+def _sensor(peer: str) -> tuple[Sensor, LookupTable]:
+    """A sensor in a peer's size, whose gel ends where its window does, as the peers' do."""
+    name, step = PEERS[peer]
     sensor = load_sensor(name)
-    return replace(sensor, gel_size_mm=(sensor.mm_per_px, sensor.mm_per_px))
+    size, mm_per_px = (sensor.width_px // step, sensor.height_px // step), sensor.mm_per_px * step
+    table = load_table(sensor.table)
+    background = cv2.resize(table.background, size, interpolation=cv2.INTER_AREA)
+    return (
+        replace(
+            sensor,
+            width_px=size[0],
+            height_px=size[1],
+            mm_per_px=mm_per_px,
+            gel_size_mm=(mm_per_px, mm_per_px),
+        ),
+        replace(table, background=background, mm_per_px=mm_per_px),
+    )
 
 
-def tacgen_ms(sensor_name: str, *, shadows: bool, from_mesh: bool, repeats: int) -> list[float]:
+def tacgen_ms(peer: str, *, shadows: bool, from_mesh: bool, repeats: int) -> list[float]:
     """Times of tacgen's images of the presses."""
-    sensor = _sensor(sensor_name)
-    pad = TactilePad(sensor, load_table(sensor.table), shadows=shadows)
+    pad = TactilePad(*_sensor(peer), shadows=shadows)
     times = []
     for press in presses():
         given = press.mesh, press.pose, GelLoad(VOLUME_MM3)
@@ -84,10 +98,10 @@ def _image_of_a_copy(pad: TactilePad, imprint: Imprint) -> object:
     return pad.image(replace(imprint))
 
 
-def write_presses(sensor_name: str, path: Path) -> None:
+def write_presses(peer: str, path: Path) -> None:
     """The indentations (n, H, W), mm, and the pressed meshes in the gel frame, mm."""
-    sensor = _sensor(sensor_name)
-    pad = TactilePad(sensor, load_table(sensor.table))
+    sensor, table = _sensor(peer)
+    pad = TactilePad(sensor, table)
     arrays: dict[str, Any] = {"mm_per_px": np.array(sensor.mm_per_px)}
     depths = []
     for k, press in enumerate(presses()):
@@ -103,7 +117,7 @@ def peer_ms(name: str, folder: Path, python: str, repeats: int) -> dict[str, lis
     """Times of a peer's images, plain and with shadows where it has them; or its error."""
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "presses.npz"
-        write_presses(PEERS[name], path)
+        write_presses(name, path)
         one = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         command = [python, str(RUNNER), name, str(folder.resolve()), str(path), str(repeats)]
         ran = subprocess.run(command, capture_output=True, text=True, env=os.environ | one)
@@ -140,8 +154,8 @@ def main() -> None:
 
 
 def _line(name: str, kind: str, theirs_ms: float, repeats: int) -> str:
-    sensor, from_mesh, shadows = load_sensor(PEERS[name]), name == "tacto", kind == "shadows"
-    own = tacgen_ms(PEERS[name], shadows=shadows, from_mesh=from_mesh, repeats=repeats)
+    sensor, from_mesh, shadows = _sensor(name)[0], name == "tacto", kind == "shadows"
+    own = tacgen_ms(name, shadows=shadows, from_mesh=from_mesh, repeats=repeats)
     ours_ms = float(np.median(own))
     cells = (
         name,
