@@ -214,7 +214,7 @@ def test_measured_curves_have_one_answer(measured_data, tmp_path, name):
     words = ["calibrate", "contact", str(path), "--out", str(law), "--json", "--report", str(page)]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0, result.output
-    assert "data:image/png" in (page / "contact.html").read_text()
+    assert "data:image/png" in (page / "index.html").read_text()
     own = json.loads(result.stdout)["channels"]["normal"]["k_n"]
     assert own["value"] == pytest.approx(load_law(law).k_n_mm3_per_n.value, rel=1e-6)
     result = CliRunner().invoke(
