@@ -15,7 +15,7 @@ from itertools import pairwise
 from types import MappingProxyType
 
 import numpy as np
-from scipy.optimize import least_squares, minimize_scalar
+from scipy.optimize import brentq, least_squares, minimize_scalar
 from scipy.special import fdtrc
 
 from tacgen.calibrate.contact.slope_fit import neighbours
@@ -196,8 +196,7 @@ def _fit_radius(log: PressLog) -> tuple[float, tuple[float, float], float]:
         rows = log["trial"] == trial
         depth, force = log["depth_mm"][rows], log["force_normal_n"][rows]
         if (depth > 0).sum() >= MIN_CURVE_SAMPLES:
-            at_rest = force[depth <= 0]
-            curves.append((depth, force - np.median(at_rest) if at_rest.size else force))
+            curves.append((depth, force))
     if not curves:
         msg = (
             f"{log.path}: row {log.rows.min()}: no press has {MIN_CURVE_SAMPLES} samples in "
@@ -220,23 +219,32 @@ def _fit_radius(log: PressLog) -> tuple[float, tuple[float, float], float]:
     shared = sum(float(left[1:] @ left[:-1]) for left, _ in found) / max(power, 1e-300)
     count = sum(len(left) for left, _ in found)
     count *= (1.0 - max(shared, 0.0)) / (1.0 + max(shared, 0.0))
-    limit = best.fun * (1.0 + 3.841 / (max(count, MIN_CURVE_SAMPLES) - 3))
-    inside = [*radii[costs <= limit], float(best.x)]
-    logs = [np.log(np.median([k_n for _, k_n in fits(end)])) for end in (min(inside), max(inside))]
-    return float(best.x), (min(inside), max(inside)), float(np.ptp(logs)) / (2 * 1.96)
+    freedom = max(count, MIN_CURVE_SAMPLES) - 1 - 3 * len(curves)
+    limit = best.fun * (1.0 + 3.841 / max(freedom, 1.0))
+    inside = np.append(radii[costs <= limit], best.x)
+    low, high = float(inside.min()), float(inside.max())
+    # The profile crosses the limit between the outermost radius inside and the next of the grid.
+    if low > radii[0]:
+        low = brentq(lambda r: squares(r) - limit, radii[radii < low][-1], low, rtol=1e-3)
+    if high < radii[-1]:
+        high = brentq(lambda r: squares(r) - limit, high, radii[radii > high][0], rtol=1e-3)
+    logs = [np.log(np.median([k_n for _, k_n in fits(end)])) for end in (low, high)]
+    return float(best.x), (low, high), float(np.ptp(logs)) / (2 * 1.96)
 
 
 def _fit_curve(
     depth_mm: FloatArray, force_n: FloatArray, radius_mm: float
 ) -> tuple[FloatArray, float]:
-    """Residual (N,) of F = V(d + d₀)/k of one press, and its k, mm³/N."""
+    """Residual (N,) of F = F₀ + V(d + d₀)/k of one press, and its k, mm³/N."""
     deepest = float(depth_mm.max())
     low, high = -0.5 * deepest, 0.2 * deepest
     shifts = np.linspace(low, high, N_STARTS)
+    force = force_n - force_n.mean()
     for _ in range(4):
         volumes = ball_volume_mm3(depth_mm + shifts[:, None], radius_mm)
-        stiffness = (volumes @ force_n) / np.maximum((volumes**2).sum(axis=1), 1e-300)
-        left = force_n - stiffness[:, None] * volumes
+        volumes -= volumes.mean(axis=1, keepdims=True)
+        stiffness = (volumes @ force) / np.maximum((volumes**2).sum(axis=1), 1e-300)
+        left = force - stiffness[:, None] * volumes
         at = int(np.argmin((left**2).sum(axis=1)))
         found = left[at], 1.0 / max(float(stiffness[at]), 1e-300)
         step = shifts[1] - shifts[0]

@@ -23,7 +23,6 @@ from tacgen.report.formatting import p_value, percent, unit_text
 from tacgen.report.page import templates
 
 MIN_TRIALS = 3  # two presses give no scatter to tell an outlier by; a depth's course also tells
-DISAGREEMENT_P = 0.01  # Welch's p below which groups that differ are a warning
 STRUCTURE_FACTOR = 1.5  # held-out errors this many times a sample's own noise are no noise
 
 MAX_FOLDS = 20  # limits the time of cross-validation over presses
@@ -33,7 +32,7 @@ BLOCKS_OF_A_TRIAL = 8
 """Parts into which a group of one single trial is cut, as its samples are not independent."""
 
 SYMBOLS = {"normal": "k_n", "shear": "k_s"}
-AGREEMENT_LEVEL = 0.05  # Welch's p below which groups are said to differ
+DISAGREEMENT_P = 0.01  # Welch's p below which groups differ, in the sentence and the warning
 MAX_GROUPS_SHOWN = 12  # groups that a terminal's text lists; the page has all
 
 
@@ -381,7 +380,7 @@ def agreement_text(name: str, channel: Mapping[str, Any]) -> str:
     symbol, by, agreement = SYMBOLS[name], channel["by"], channel["agreement"]
     if agreement is None:
         return f"whether {symbol} depends on {by} is unknown: only one group has an error"
-    verdict = "agree on" if agreement["p_value"] >= AGREEMENT_LEVEL else "do not agree on"
+    verdict = "agree on" if agreement["p_value"] >= DISAGREEMENT_P else "do not agree on"
     return (
         f"the values of {by} {verdict} one {symbol} (Welch p = {p_value(agreement['p_value'])}, "
         f"largest difference {percent(agreement['spread'], 2)})"
