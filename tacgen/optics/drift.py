@@ -53,8 +53,8 @@ class Drift:
 
     ``added`` (h, w, 3) is in grey levels; ``gain`` (h, w, 3) is what each channel's changes are
     multiplied by, ``gain_stderr`` (h, w) its relative standard error, ``offset`` (3,) what is added
-    besides; ``bare`` (h, w) is where nothing touches, and ``unlike_grey`` what half of it differs
-    by beyond all this. ``imprint`` is what looks like a contact.
+    besides; ``bare`` (h, w) is where nothing touches, nowhere if that is too little, and
+    ``unlike_grey`` what half of it differs by beyond all this. ``imprint`` is what looks like a contact.
     """
 
     added: FloatArray
@@ -120,6 +120,7 @@ def drift_of(change: FloatArray, rest: FloatArray, known: FloatArray) -> Drift:
     places[..., 0] = 1.0
     variance = np.mean([((places @ cov[1:, 1:]) * places).sum(axis=-1) for _, cov in fits], axis=0)
     stderr = cv2.resize(np.sqrt(variance), (width, height)) / field.mean(axis=2)
+    bare &= terms > 2
     nearest = cv2.resize(bare.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
     imprint = _imprint_in(np.where(differs, left, 0.0), usual, width / size[0])
     return Drift(added, offset, field, stderr, np.asarray(nearest > 0), usual, imprint)
