@@ -27,7 +27,7 @@ from tacgen.cluster.states import ALIVE, DatasetStatus, TaskState, job_states, s
 from tacgen.collection.recipe import Cluster, Recipe
 from tacgen.collection.run import collect, prepare
 from tacgen.core.errors import ClusterError, TacgenError
-from tacgen.core.lock import locked
+from tacgen.core.lock import alone
 from tacgen.core.optional_dependencies import missing_extra
 from tacgen.core.progress import print_status
 
@@ -136,10 +136,8 @@ def _one_at_a_time(out: Path) -> Iterator[None]:
     """Keep a second submission from finding that there is none yet."""
     jobs = JobsFolder(out).root
     jobs.mkdir(parents=True, exist_ok=True)
-    with locked(jobs / ".lock") as held:
-        if held is False:
-            msg = f"{out}: is being submitted by another process; see `tacgen status {out}`"
-            raise ClusterError(msg)
+    fix = f"see `tacgen status {out}`"
+    with alone(jobs / ".lock", out, "submitting it", ClusterError, fix):
         yield
 
 

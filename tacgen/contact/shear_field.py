@@ -347,23 +347,11 @@ class ShearField:
         sheet, held, sticks = _wide(start.sheet), _wide(np.zeros((*self.shape, 2))), _wide(touches)
         slide = np.zeros(3)
         if before is not None or load.any():
+            lever_mm = max(float(arm / total), self.lattice_mm)
             _solve(
-                sheet,
-                held,
-                sticks,
-                _wide(start.sheet),
-                _wide(start.held),
-                _wide(limit),
-                self.stiff,
-                self.squares,
-                np.pad(x_mm, 1),
-                np.pad(y_mm, 1),
-                within,
-                max(float(arm / total), self.lattice_mm),
-                self.alpha,
-                self.over,
-                tolerance,
-                slide,
+                *(sheet, held, sticks, _wide(start.sheet), _wide(start.held), _wide(limit)),
+                *(self.stiff, self.squares, np.pad(x_mm, 1), np.pad(y_mm, 1), within, lever_mm),
+                *(self.alpha, self.over, tolerance, slide),
             )
         sheet, held, sticks = (one[1:-1, 1:-1] for one in (sheet, held, sticks))
         # What the sweeps, or friction, leave of the force acts as the pressure does.

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from tacgen.core.errors import DatasetError, TacgenError
-from tacgen.core.lock import locked
+from tacgen.core.lock import alone
 
 HEAD_BYTES = 500  # of a page, that hold its mark
 
@@ -69,10 +69,8 @@ def atomic_folder(path: Path) -> Iterator[Path]:
         msg = f"{path} exists already; give a new folder, or remove it"
         raise TacgenError(msg)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with locked(path.with_name(f".{path.name}.lock")) as held:
-        if held is False:
-            msg = f"{path}: another process is writing it; wait for it, or end it"
-            raise TacgenError(msg)
+    lock = path.with_name(f".{path.name}.lock")
+    with alone(lock, path, "writing it", TacgenError) as held:
         if held:
             for left in path.parent.glob(f".{glob.escape(path.name)}.????????.part"):
                 shutil.rmtree(left, ignore_errors=True)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from tacgen.core.errors import TacgenError
 
+_WAIT = "wait for it, or end it"
 _LOCK_TRIES, _LOCK_PAUSE_S = 75, 0.02
 _NO_LOCKS_HERE = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
 
@@ -34,6 +35,21 @@ def locked(path: Path) -> Iterator[bool | None]:
         if held is not False:
             path.unlink(missing_ok=True)
         os.close(descriptor)
+
+
+@contextlib.contextmanager
+def alone(
+    path: Path, where: Path, doing: str, error: type[TacgenError], fix: str = _WAIT
+) -> Iterator[bool | None]:
+    """Hold the lock file ``path`` as ``locked`` does.
+
+    Raises ``error`` where another process holds it, which says what that is ``doing``, and where.
+    """
+    with locked(path) as held:
+        if held is False:
+            msg = f"{where}: {holder_of(path) or 'another process'} is {doing}; {fix}"
+            raise error(msg)
+        yield held
 
 
 def _write_holder(descriptor: int, path: Path) -> None:

@@ -22,7 +22,7 @@ from tacgen.core.files import (
     sha256_of_content,
     write_text,
 )
-from tacgen.core.lock import holder_of, locked
+from tacgen.core.lock import alone, holder_of, locked
 from tacgen.core.version import __version__, newer_problem
 from tacgen.core.yaml_source import read_yaml
 from tacgen.dataset.check import content_problems
@@ -116,10 +116,8 @@ class DatasetFolder:
             (self.root / "shards").mkdir(parents=True, exist_ok=True)
             if self._to_write(plan, spec, grow=grow):
                 # Another process may prepare or grow it at the same time.
-                with locked(self.root / "dataset.lock") as held:
-                    if held is False:
-                        msg = f"{self.root}: another process is preparing it; run this again"
-                        raise DatasetError(msg)
+                lock, fix = self.root / "dataset.lock", "run this again"
+                with alone(lock, self.root, "preparing it", DatasetError, fix):
                     for path, content in self._to_write(plan, spec, grow=grow):
                         write_text(path, content)
 

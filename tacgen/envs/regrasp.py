@@ -34,7 +34,7 @@ from tacgen.core.files import (
     sha256_of_content,
     write_text,
 )
-from tacgen.core.lock import holder_of, locked
+from tacgen.core.lock import alone
 from tacgen.core.progress import LOG, print_status
 from tacgen.core.records import LABEL_SUCCESS, GraspTrace
 from tacgen.core.workers import Report, run_tasks
@@ -383,12 +383,7 @@ def simulate(
     ]
     refuse_foreign(out, WORLDS, [RESULT])
     out.mkdir(parents=True, exist_ok=True)
-    lock = out / ".lock"
-    with locked(lock) as held:
-        if held is False:
-            holder = holder_of(lock) or "another process"
-            msg = f"{out}: {holder} is working there; wait for it, or end it"
-            raise LearningError(msg)
+    with alone(out / ".lock", out, "working there", LearningError):
         made_with = _made_with(run, recipe, grasps)
         found = _finished(out / WORLDS, drawn, made_with)
         pending = [k for k, one in enumerate(drawn) if one not in found]

@@ -12,7 +12,7 @@ from pydantic import BaseModel, Field, ValidationError
 from tacgen.core.disk import disk_message
 from tacgen.core.errors import LearningError
 from tacgen.core.files import read_small_text, refuse_foreign, refuse_other_page, write_text
-from tacgen.core.lock import holder_of, locked
+from tacgen.core.lock import alone
 from tacgen.core.version import newer_problem
 from tacgen.dataset.folder import differences
 from tacgen.learning.training_recipe import TrainRecipe
@@ -61,12 +61,8 @@ class ModelFolder:
         Raises ``LearningError`` if another process holds it.
         """
         self.root.mkdir(parents=True, exist_ok=True)
-        path = self.root / ".lock"
-        with locked(path) as held:
-            if held is False:
-                holder = holder_of(path) or "another process"
-                msg = f"{self.root}: {holder} is training this model; wait for it, or end it"
-                raise LearningError(msg)
+        doing = "training this model"
+        with alone(self.root / ".lock", self.root, doing, LearningError) as held:
             if held:
                 for partial in self.root.glob(".*.part"):
                     partial.unlink(missing_ok=True)

@@ -262,7 +262,12 @@ def test_a_second_submission_at_the_same_time_is_refused(tmp_path, monkeypatch):
     recipe = load_recipe(write_world(tmp_path))
     jobs = tmp_path / "out/jobs"
     jobs.mkdir(parents=True)
-    with locked(jobs / ".lock"), pytest.raises(ClusterError, match="submitted by another process"):
+    with (
+        locked(jobs / ".lock"),
+        pytest.raises(
+            ClusterError, match=r"process \d+ on .* is submitting it; see `tacgen status"
+        ),
+    ):
         submission.submit(recipe, tmp_path / "out", "local")
 
 
