@@ -21,19 +21,23 @@ USUAL_SENSOR = "digit"  # its dome lies between the others', and so does the mom
 
 
 def is_shown(surface: Mesh, y_mm: float, z_mm: float, force_n: float) -> bool:
-    """Whether the pictures of all ``SENSORS`` show the contact of a pad centred there.
+    """Whether all ``SENSORS`` show the contact of a pad centred there on the object as it stands.
 
-    It is the pad that carries a sensor where one alone does. The gel is pressed on the surface as
-    it stands, by the published k_n.
+    It is the pad that carries a sensor where one alone does.
     """
     (side, *_), gripper = PhysicsSettings().sensing_pads, default_gripper()
     pose = np.eye(4)
     pose[:3, :3] = gripper.side(side).gel_axes.T
     pose[:3, 3] = pose[:3, :3] @ (0.0, -y_mm, -z_mm)
+    return is_shown_in(surface, pose, force_n)
+
+
+def is_shown_in(surface: Mesh, pose_gel_object: FloatArray, force_n: float) -> bool:
+    """Whether the pictures of all ``SENSORS`` show the contact, by the published k_n."""
     load = GelLoad(volume_mm3=PUBLISHED_K_N_MM3_PER_N * force_n)
     for name in SENSORS:
         pad, rest_rgb = _pad_and_rest(name)
-        rgb = pad.image(pad.press(surface, pose, load))
+        rgb = pad.image(pad.press(surface, pose_gel_object, load))
         if visible_share(rgb, rest_rgb) < VISIBLE.contact_share:
             return False
     return True

@@ -114,6 +114,15 @@ def test_forces_are_taken_about_those_that_just_hold():
     assert notes == []
 
 
+def test_pictures_that_show_something_count_more_than_mixed_labels():
+    """A place that holds from 4 N on and shows nothing below 8 N."""
+    ranges = {"force_n": FORCES_N, "x_mm": (0.0,), "y_mm": (0.0,), "z_mm": (20.0,)}
+    holds, shown = ({(0.0, 20.0): FORCES_N.index(force_n)} for force_n in (4.0, 8.0))
+    chosen, notes = _mixed(ranges, holds, shown)
+    assert min(chosen["force_n"]) == 8.0
+    assert "hold: pictures of weaker ones would show little" in notes[0]
+
+
 def test_a_place_that_cannot_be_executed_is_left_out_and_one_sided_labels_are_noted():
     ranges = {"force_n": FORCES_N, "x_mm": (0.0,), "y_mm": (0.0, 10.0), "z_mm": (20.0,)}
     chosen, notes = _mixed(ranges, {(0.0, 20.0): 0}, {(0.0, 20.0): 0})
