@@ -14,10 +14,15 @@ K_N, K_S = 5.135, 0.8
 N_TRIALS, N_ROWS = 24, 40
 
 
-def session(seed: int = 0) -> pd.DataFrame:
-    """Presses from rest and back, noise of 0.01 N, 0.1 mm³ and 0.02 mm."""
+def session(seed: int = 0, first: tuple[int, float] = (6, 0.0)) -> pd.DataFrame:
+    """Presses from rest and back, noise of 0.01 N, 0.1 mm³ and 0.02 mm.
+
+    Until row ``first[0]`` the force rises to that share of its largest.
+    """
     rng = np.random.default_rng(seed)
-    course = np.interp(np.arange(N_ROWS), [0, 6, 16, 24, 34, N_ROWS], [0, 0, 1, 1, 0, 0])
+    course = np.interp(
+        np.arange(N_ROWS), [0, first[0], 16, 24, 34, N_ROWS], [0, first[1], 1, 1, 0, 0]
+    )
     parts = []
     for trial in range(N_TRIALS):
         force = rng.uniform(3, 8) * course
@@ -105,6 +110,12 @@ def test_presses_that_do_not_begin_at_rest_state_no_zero(tmp_path):
     frame["force_normal_n"] += 1.0
     later = frame[frame.groupby("trial").cumcount() >= 20]
     log = read(later, tmp_path)
+    assert without_zero(log) is log
+
+
+def test_a_press_that_begins_slowly_is_no_rest(tmp_path):
+    """Its first rows rise by a few times the noise."""
+    log = read(session(first=(3, 0.02)), tmp_path)
     assert without_zero(log) is log
 
 
