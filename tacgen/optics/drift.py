@@ -26,14 +26,15 @@ reach 7, 8 and 0.97, but for one in 50; two gels of one sensor 5, 6 and 0.9, two
 and 1."""
 
 
-def gain_and_offset(image: FloatArray, rest: FloatArray) -> FloatArray:
+def in_light_of(image: FloatArray, rest: FloatArray, *, is_smooth: bool = False) -> FloatArray:
     """The gel at rest (h, w, 3) in the light of another picture (h, w, 3).
 
-    A gain and an offset of each channel, fitted to most of the picture: a contact is not.
+    A gain, which may change smoothly over the picture, and an offset of each channel, fitted to
+    most of the picture: a contact is not.
     """
     change, weight, fitted = image - rest, np.ones(rest.shape[:2]), np.empty(rest.shape)
     for c in range(3):
-        columns = _columns(rest[..., c])[..., :2]
+        columns = _columns(rest[..., c])[..., : None if is_smooth else 2]
         fitted[..., c] = columns @ _robust_fit(columns, change[..., c], weight, USUAL_GAIN)[0]
     return rest + fitted
 
