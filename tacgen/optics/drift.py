@@ -21,8 +21,8 @@ LEAST_BARE = 0.15  # of the picture: less gel cannot tell a slope of the light o
 MEDIAN_TO_SIGMA = 1.4826  # of a normal distribution
 IMPRINT_GREY, IMPRINT_SIGMAS, IMPRINT_SHARE = 6.0, 7.5, 0.6
 """A patch of the bare gel that differs on average by so many grey levels, by so many times what
-the rest of it does, and makes so much of all that differs (squares). Presses of seven real sets
-reach 7, 8 and 0.97, but for one in 50; two gels of one sensor 5, 6 and 0.9, two sensors 90, 7.2
+the rest of it does, and makes so much of all that differs (squares). Most presses of seven real
+sets reach 7, 8 and 0.97; two gels of one sensor 5, 6 and 0.9, two sensors 90, 7.2
 and 1."""
 
 
@@ -54,8 +54,8 @@ class Drift:
 
     ``added`` (h, w, 3) is in grey levels; ``gain`` (h, w, 3) is what each channel's changes are
     multiplied by, ``gain_stderr`` (h, w) its relative standard error, ``offset`` (3,) what is added
-    besides; ``bare`` (h, w) is where nothing touches, nowhere if that is too little, and
-    ``unlike_grey`` what half of it differs by beyond all this. ``imprint`` is what looks like a contact.
+    besides; ``bare`` (h, w) is where nothing touches, and ``unlike_grey`` what half of it differs
+    by beyond all this. ``imprint`` is what looks like a contact.
     """
 
     added: FloatArray
@@ -121,7 +121,6 @@ def drift_of(change: FloatArray, rest: FloatArray, known: FloatArray) -> Drift:
     places[..., 0] = 1.0
     variance = np.mean([((places @ cov[1:, 1:]) * places).sum(axis=-1) for _, cov in fits], axis=0)
     stderr = cv2.resize(np.sqrt(variance), (width, height)) / field.mean(axis=2)
-    bare &= terms > 2
     nearest = cv2.resize(bare.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
     imprint = _imprint_in(np.where(differs, left, 0.0), usual, width / size[0])
     return Drift(added, offset, field, stderr, np.asarray(nearest > 0), usual, imprint)
