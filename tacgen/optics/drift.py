@@ -21,19 +21,20 @@ LEAST_BARE = 0.15  # of the picture: less gel cannot tell a slope of the light o
 MEDIAN_TO_SIGMA = 1.4826  # of a normal distribution
 IMPRINT_GREY, IMPRINT_SIGMAS, IMPRINT_SHARE = 6.0, 7.5, 0.6
 """A patch of the bare gel that differs on average by so many grey levels, by so many times what
-the rest of it does, and makes so much of all that differs (squares). Presses of seven real sets
-reach 7, 8 and 0.97, but for one in 50; two gels of one sensor 5, 6 and 0.9, two sensors 90, 7.2
+the rest of it does, and makes so much of all that differs (squares). Most presses of seven real
+sets reach 7, 8 and 0.97; two gels of one sensor 5, 6 and 0.9, two sensors 90, 7.2
 and 1."""
 
 
-def gain_and_offset(image: FloatArray, rest: FloatArray) -> FloatArray:
+def in_light_of(image: FloatArray, rest: FloatArray, *, is_smooth: bool = False) -> FloatArray:
     """The gel at rest (h, w, 3) in the light of another picture (h, w, 3).
 
-    A gain and an offset of each channel, fitted to most of the picture: a contact is not.
+    A gain, which may change smoothly over the picture, and an offset of each channel, fitted to
+    most of the picture: a contact is not.
     """
     change, weight, fitted = image - rest, np.ones(rest.shape[:2]), np.empty(rest.shape)
     for c in range(3):
-        columns = _columns(rest[..., c])[..., :2]
+        columns = _columns(rest[..., c])[..., : None if is_smooth else 2]
         fitted[..., c] = columns @ _robust_fit(columns, change[..., c], weight, USUAL_GAIN)[0]
     return rest + fitted
 
@@ -53,8 +54,8 @@ class Drift:
 
     ``added`` (h, w, 3) is in grey levels; ``gain`` (h, w, 3) is what each channel's changes are
     multiplied by, ``gain_stderr`` (h, w) its relative standard error, ``offset`` (3,) what is added
-    besides; ``bare`` (h, w) is where nothing touches, nowhere if that is too little, and
-    ``unlike_grey`` what half of it differs by beyond all this. ``imprint`` is what looks like a contact.
+    besides; ``bare`` (h, w) is where nothing touches, and ``unlike_grey`` what half of it differs
+    by beyond all this. ``imprint`` is what looks like a contact.
     """
 
     added: FloatArray
@@ -120,7 +121,6 @@ def drift_of(change: FloatArray, rest: FloatArray, known: FloatArray) -> Drift:
     places[..., 0] = 1.0
     variance = np.mean([((places @ cov[1:, 1:]) * places).sum(axis=-1) for _, cov in fits], axis=0)
     stderr = cv2.resize(np.sqrt(variance), (width, height)) / field.mean(axis=2)
-    bare &= terms > 2
     nearest = cv2.resize(bare.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
     imprint = _imprint_in(np.where(differs, left, 0.0), usual, width / size[0])
     return Drift(added, offset, field, stderr, np.asarray(nearest > 0), usual, imprint)

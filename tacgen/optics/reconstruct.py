@@ -233,8 +233,7 @@ class Reconstructor:
         for _ in range(CONTACT_PASSES if self._table.image_model.sees_depth else 1):
             found = self._slopes_of(change)
             depth = self._depth_of(found, known, bare)
-            # On bare gel an error of the level would become light, slopes and a larger error.
-            change = seen - self._contact_light(found, np.where(drift.bare, 0.0, depth))
+            change = seen - self._contact_light(found, depth)
         contact = (depth > 0.1 * depth.max()) & (known > 0)
         stderr = self._slope_stderr(found, change, contact)
         steep = contact & (np.hypot(*np.moveaxis(found, -1, 0)) >= AT_STEEPEST * self.steepest)

@@ -190,10 +190,12 @@ class ImageReader:
         reading = _with_forces(reading, self.sensor.law, self.sensor.table.mm_per_px, pitch_mm)
         white = float((rgb[touched] == CLIPPED).any(axis=1).mean())
         bright = f"{white:.0%} of the contact is overexposed: expose less, as for the table"
+        bright += "; depth and force may be too large or too small"
         doubts = (unseen, *self._reconstructor.doubts, bright * (white > MOST_CLIPPED))
         message = "; ".join(filter(None, (reading.message, *doubts)))
         reading = replace(reading, message=message, steep_share=shape.steepest_share)
-        if not shape.is_lower_bound:
+        # A clipped colour looks like a steep slope.
+        if not shape.is_lower_bound or white > MOST_CLIPPED:
             return reading
         limit_deg = math.degrees(math.atan(self._reconstructor.steepest))
         steep = (
