@@ -9,10 +9,10 @@ from tacgen.core.files import is_file, read_small_text
 
 _PACKAGE = Path(__file__).parents[1]
 _OF_RECIPES = re.compile(
-    r"^[\ufeff{\s]*[\"']?(extends|objects|sensor|grid|training|indenters|rows|schedule)[\"']?\s*:",
+    r"^\ufeff?\{?[\"']?(extends|objects|sensor|grid|training|indenters|rows|schedule)[\"']?\s*:",
     re.MULTILINE,
 )
-"""A key that a recipe has, and no sensor, gripper or contact law."""
+"""A key at the left edge that a recipe has, and no sensor, gripper or contact law."""
 _MOST_BYTES = 10_000_000
 
 

@@ -304,6 +304,8 @@ def _with_ball_volumes(
     if radius_mm is not None:
         radius = np.full(len(trial), radius_mm)
     is_known = bool((radius[filled & np.isfinite(depth)] > 0).all())
+    if not is_known and np.isfinite(volume).any():  # those that are measured count alone
+        return columns, True, np.zeros_like(filled)
     ball = ball_volume_mm3(depth, radius if is_known else 1.0)
     columns = {**columns, "volume_mm3": np.where(filled, ball, volume)}
     return columns | ({"radius_mm": radius} if is_known else {}), is_known, filled

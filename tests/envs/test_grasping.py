@@ -186,7 +186,7 @@ def test_pictures_in_two_pads_and_their_size():
     before = env.render()
     env.step(np.array([8.0, 0.0, 0.0, 30.0, 0.0]))
     after = env.render()
-    assert before.shape == after.shape == (320, 240 * 2 + 427, 3)
+    assert before.shape == after.shape == (640, 480 * 2 + 853, 3)
     assert not np.array_equal(before, after)
     env.close()
 
@@ -345,7 +345,7 @@ def test_what_a_recipe_asks_for_is_in_the_observation():
     env = make(GRASP, small_recipe(frames={"mode": "sequence", "count": 4, "until": "lift"}))
     shapes = {name: space.shape for name, space in env.observation_space.items()}
     assert shapes == {
-        "left_rgb": (4, 320, 240, 3),
+        "left_rgb": (4, 640, 480, 3),
         "left_markers_mm": (4, 63, 2),
         "left_force_field_n": (4, 3, 4, 3),
         "gripper": (6,),
