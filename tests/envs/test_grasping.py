@@ -346,7 +346,7 @@ def test_what_a_recipe_asks_for_is_in_the_observation():
     shapes = {name: space.shape for name, space in env.observation_space.items()}
     assert shapes == {
         "left_rgb": (4, 640, 480, 3),
-        "left_markers_mm": (4, 63, 2),
+        "left_markers_mm": (4, 48, 2),
         "left_force_field_n": (4, 3, 4, 3),
         "gripper": (6,),
     }
