@@ -19,22 +19,22 @@ CLIPPED_GREY = 2.0  # so near to black or white, averaged, a picture may be clip
 INDEPENDENT_PATCHES = 30  # of a picture whose light differs otherwise than by gain and slope
 LEAST_BARE = 0.15  # of the picture: less gel cannot tell a slope of the light over it
 MEDIAN_TO_SIGMA = 1.4826  # of a normal distribution
-IMPRINT_GREY, IMPRINT_SIGMAS, IMPRINT_SHARE = 6.0, 7.5, 0.6
+IMPRINT_GREY, IMPRINT_SIGMAS, IMPRINT_SHARE = 4.0, 7.5, 0.6
 """A patch of the bare gel that differs on average by so many grey levels, by so many times what
 the rest of it does, and makes so much of all that differs (squares). Most presses of seven real
 sets reach 7, 8 and 0.97; two gels of one sensor 5, 6 and 0.9, two sensors 90, 7.2
 and 1."""
 
 
-def in_light_of(image: FloatArray, rest: FloatArray, *, is_smooth: bool = False) -> FloatArray:
+def in_light_of(image: FloatArray, rest: FloatArray, *, is_tilted: bool = False) -> FloatArray:
     """The gel at rest (h, w, 3) in the light of another picture (h, w, 3).
 
-    A gain, which may change smoothly over the picture, and an offset of each channel, fitted to
-    most of the picture: a contact is not.
+    A gain, which may be larger at one side, and an offset of each channel, fitted to most of the
+    picture: a contact is not.
     """
     change, weight, fitted = image - rest, np.ones(rest.shape[:2]), np.empty(rest.shape)
     for c in range(3):
-        columns = _columns(rest[..., c])[..., : None if is_smooth else 2]
+        columns = _columns(rest[..., c])[..., : 4 if is_tilted else 2]
         fitted[..., c] = columns @ _robust_fit(columns, change[..., c], weight, USUAL_GAIN)[0]
     return rest + fitted
 
@@ -54,8 +54,9 @@ class Drift:
 
     ``added`` (h, w, 3) is in grey levels; ``gain`` (h, w, 3) is what each channel's changes are
     multiplied by, ``gain_stderr`` (h, w) its relative standard error, ``offset`` (3,) what is added
-    besides; ``bare`` (h, w) is where nothing touches, and ``unlike_grey`` what half of it differs
-    by beyond all this. ``imprint`` is what looks like a contact.
+    besides; ``bare`` (h, w) is where nothing touches, nowhere if that is too little, and
+    ``unlike_grey`` what half of it differs by beyond all this. ``imprint`` is what looks like a
+    contact.
     """
 
     added: FloatArray
@@ -67,13 +68,17 @@ class Drift:
     imprint: Imprint | None
 
 
-def drift_of(change: FloatArray, rest: FloatArray, known: FloatArray) -> Drift:
+def drift_of(
+    change: FloatArray, rest: FloatArray, known: FloatArray, *, falls_outwards: bool = False
+) -> Drift:
     """The drift between a picture and the gel at rest, fitted to the gel that nothing touches.
 
     ``change`` (h, w, 3) is the picture less ``rest`` (h, w, 3); ``known`` (h, w) is 1 where the
     picture shows gel. Each channel has an offset and a gain that changes smoothly over the picture,
-    since lamps drift one by one. Gain and offset are told apart by the contrast of the gel at rest;
-    with less contrast the gain tends to 1, and its error to the whole change of brightness.
+    since lamps drift one by one; only where it ``falls_outwards`` also as a lens does, because a
+    gel that bends around a contact looks alike. Gain and offset are told apart by the contrast of
+    the gel at rest; with less contrast the gain tends to 1, and its error to the whole change of
+    brightness.
     """
     height, width = change.shape[:2]
     scale = min(1.0, COMPARED_PX / width)
@@ -107,7 +112,7 @@ def drift_of(change: FloatArray, rest: FloatArray, known: FloatArray) -> Drift:
         untouched = is_seen & ~binary_dilation(differs, iterations=beside)
         if untouched.mean() < LEAST_BARE:
             break
-        bare, terms = untouched, columns[0].shape[-1]
+        bare, terms = untouched, 5 if falls_outwards else 4
     coefficients = np.zeros((columns[0].shape[-1], 3))
     coefficients[:terms] = np.stack([fit for fit, _ in fits], axis=1)
     offset, gain, across, down, outwards = coefficients
@@ -121,6 +126,7 @@ def drift_of(change: FloatArray, rest: FloatArray, known: FloatArray) -> Drift:
     places[..., 0] = 1.0
     variance = np.mean([((places @ cov[1:, 1:]) * places).sum(axis=-1) for _, cov in fits], axis=0)
     stderr = cv2.resize(np.sqrt(variance), (width, height)) / field.mean(axis=2)
+    bare = bare & (terms > 2)
     nearest = cv2.resize(bare.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
     imprint = _imprint_in(np.where(differs, left, 0.0), usual, width / size[0])
     return Drift(added, offset, field, stderr, np.asarray(nearest > 0), usual, imprint)

@@ -185,7 +185,7 @@ class Reconstructor:
         at_rest = table.background + dome
         _check_view(background, at_rest, "the background", "the table's")
         rest = _averaged(at_rest.astype(np.float32), self._step, self._shape)
-        light = drift_of(self._seen - rest, rest, np.ones(self._shape))
+        light = drift_of(self._seen - rest, rest, np.ones(self._shape), falls_outwards=True)
         # Over the background's contrast alone an offset looks like another gamma.
         offset = np.abs(light.offset).mean() / rest.mean()
         self._gain, self._gain_stderr = light.gain, np.hypot(light.gain_stderr, offset)
@@ -196,7 +196,7 @@ class Reconstructor:
                 "overexposed or of another sensor; take it anew, or calibrate this sensor"
             )
             raise TableError(msg)
-        self.doubts = _doubts(light)
+        self.doubts = _doubts(light, self._step)
         height, width = self._shape
         tiles = [
             ((top, min(top + TILE_PX, height)), (left, min(left + TILE_PX, width)))
@@ -233,7 +233,8 @@ class Reconstructor:
         for _ in range(CONTACT_PASSES if self._table.image_model.sees_depth else 1):
             found = self._slopes_of(change)
             depth = self._depth_of(found, known, bare)
-            change = seen - self._contact_light(found, depth)
+            # On bare gel an error of the level would become light, slopes and a larger error.
+            change = seen - self._contact_light(found, np.where(drift.bare, 0.0, depth))
         contact = (depth > 0.1 * depth.max()) & (known > 0)
         stderr = self._slope_stderr(found, change, contact)
         steep = contact & (np.hypot(*np.moveaxis(found, -1, 0)) >= AT_STEEPEST * self.steepest)
@@ -485,11 +486,11 @@ def _gains(light: Drift) -> str:
     return f"{gains} times as bright (red, green, blue)"
 
 
-def _doubts(light: Drift) -> tuple[str, ...]:
-    """What is odd about a background in a ``light`` other than the table's."""
+def _doubts(light: Drift, step: int) -> tuple[str, ...]:
+    """What is odd about a background, averaged over ``step`` px, in a light not the table's."""
     found = []
     if (imprint := light.imprint) is not None:
-        x, y = imprint.center_px
+        x, y = (imprint.center_px + 0.5) * step - 0.5
         found.append(
             f"the background may show a press, at ({x:.0f}, {y:.0f}), where it differs by "
             f"{imprint.grey:.0f} grey levels from the table's gel at rest: depth and force are "

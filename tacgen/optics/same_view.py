@@ -11,6 +11,7 @@ from tacgen.core.arrays import FloatArray
 from tacgen.optics.drift import in_light_of
 
 MUCH_BETTER = 0.5  # of the difference as it is: what is proven, where lamps and contacts differ too
+CLEARLY_BETTER = 0.8  # than with a lamp brighter at one side, which leaves a picture's noise
 CLEARLY_GREY = 0.15  # differences below it show nothing
 DRIFT_GREY = 3.0
 """Nor do those of the light below this where a picture may be turned: a lamp that drifts by 4 grey
@@ -71,8 +72,9 @@ def other_view(image: FloatArray | NDArray[np.uint8], rest: FloatArray | NDArray
     """How a picture (H, W, 3) is turned, coloured or shifted otherwise than ``rest`` (H, W, 3).
 
     Empty unless that is proven: by the fine texture of the gel, or by the light on the bare gel,
-    which up to a gain and an offset of each channel agrees far better that way, also than as it is
-    with a gain that changes smoothly. A gel that looks alike from all sides shows nothing.
+    which up to a gain and an offset of each channel agrees far better that way, and clearly better
+    than as it is with a gain that is larger at one side. A gel that looks alike from all sides
+    shows nothing.
     """
     small, gel = _small(image), _small(rest)
     if small.std() > CLEARLY_GREY and is_grey(small, gel):
@@ -102,8 +104,8 @@ def other_view(image: FloatArray | NDArray[np.uint8], rest: FloatArray | NDArray
         found[f"it is shifted by {shift} px"] = _light_at_shift(image, rest, shift)
     what = min(found, key=lambda name: found[name], default="")
     # A lamp that is brighter at one side explains what another view would.
-    much_better = MUCH_BETTER * apart_grey(small, gel, is_smooth=True) / plain
-    return what if what and found[what] < much_better else ""
+    tilted = CLEARLY_BETTER * apart_grey(small, gel, is_tilted=True) / plain
+    return what if what and found[what] < min(MUCH_BETTER, tilted) else ""
 
 
 def is_grey(image: FloatArray | NDArray[np.uint8], rest: FloatArray | NDArray[np.uint8]) -> bool:
@@ -226,9 +228,9 @@ def _middle(image: FloatArray, share: float) -> FloatArray:
     return np.asarray(cv2.warpAffine(image, scale, (width, height), flags=flags))
 
 
-def apart_grey(image: FloatArray, rest: FloatArray, *, is_smooth: bool = False) -> float:
+def apart_grey(image: FloatArray, rest: FloatArray, *, is_tilted: bool = False) -> float:
     """Median difference, grey levels, of two pictures (h, w, 3) after gain and offset."""
-    lit = in_light_of(image, rest, is_smooth=is_smooth)
+    lit = in_light_of(image, rest, is_tilted=is_tilted)
     differences = np.median(np.abs(image - lit), axis=(0, 1))
     return float(np.median(differences))
 

@@ -37,9 +37,9 @@ from tacgen.sensor.tactile_pad import contact_status
 
 LEAST_DEPTH_MM = 0.03
 """Shallower than this there is no contact: pictures of a gel at rest reach 0.02 mm by noise."""
-SHALLOW_MM, CLEAR_STDERR = 0.1, 2.5
+SHALLOW_MM, CLEAR_STDERR = 0.2, 5.0
 """Up to so deep noise of 4 grey levels, or JPEG, makes an imprint; its volume is then less than so
-many times its standard error. A press of 0.02 N is as deep, with ten times."""
+many times its standard error: up to 3.2. A press of 0.02 N, 0.1 mm deep, has 14 times or more."""
 CLIPPED, MOST_CLIPPED = 255, 0.05
 """A grey level that a camera clips, and the share of a contact at it up to which the force is
 within its error: 4 N read as 4.2 ± 0.3 at 0.07 and 4.6 ± 0.8 at 0.13 of a picture."""

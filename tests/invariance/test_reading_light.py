@@ -86,7 +86,9 @@ def test_a_press_as_background_is_stated(taken, shape, force_n):
     for image in (press, pressed):
         message = ImageReader(sensor, pressed).read(image).message
         assert "the background may show a press" in message
-        assert f"at ({width // 2 - 1}" in message or f"at ({width // 2}" in message
+        # It is found on pictures 80 px wide: to half a pixel of those.
+        x = int(message.split("a press, at (")[1].split(",")[0])
+        assert abs(x - (width - 1) / 2) <= width / 80 / 2
     assert "press" not in ImageReader(sensor, rest).read(press).message
 
 
