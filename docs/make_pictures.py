@@ -64,9 +64,9 @@ def real_presses(given: Sequence[str]) -> str:
             table = made_small(found.fold_tables[found.folds[k]])
             renderer = PressRenderer(table, press_model_of(table, presses))
             made = renderer.picture(scored[k].refined_mm, float(presses.ball_radius_mm[k]))
-            strip = [presses.images[k], made, difference(presses.images[k], made, 3.0)]
+            row = [presses.images[k], made, difference(presses.images[k], made, 3.0)]
             text = f"{presses.names[k]}: {scored[k].rmse('refined'):.1f} grey levels"
-            strips.append((text, side_by_side(strip)))
+            strips.append((text, side_by_side(row)))
         columns.append((name, strips))
     widths = [strips[0][1].shape[1] / strips[0][1].shape[0] for _, strips in columns]
     figure = Figure(figsize=(1.25 * sum(widths), 1.42 * len(SHOWN) + 0.3), layout="constrained")
@@ -77,10 +77,10 @@ def real_presses(given: Sequence[str]) -> str:
             axis.set_title(text, fontsize=7)
             axis.set_axis_off()
         axes[0].set_title(f"{name}: real | rendered | 3 × difference\n{strips[0][0]}", fontsize=8)
-    buffer, path = io.BytesIO(), FIGURES / "real_presses.webp"
+    buffer, file = io.BytesIO(), FIGURES / "real_presses.webp"
     FigureCanvasAgg(figure).print_figure(buffer, format="png", dpi=110)
-    Image.open(buffer).convert("RGB").save(path, quality=88)
-    return f"{path.name}: {path.stat().st_size / 1000:.0f} kB"
+    Image.open(buffer).convert("RGB").save(file, quality=88)
+    return f"{file.name}: {file.stat().st_size / 1000:.0f} kB"
 
 
 def grasp() -> Figure:

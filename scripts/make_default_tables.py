@@ -167,9 +167,8 @@ def make_real_table(name: str, path: Path) -> LookupTable:
     presses, source, table = found.presses.presses, REAL[name], made_small(found.table)
     heldout = heldout_score(found).as_dict()
     del heldout["images"]
-    left, top, right, bottom = [
-        *presses.center_px.min(axis=0).round(), *presses.center_px.max(axis=0).round()
-    ]  # fmt: skip
+    left, top = presses.center_px.min(axis=0)
+    right, bottom = presses.center_px.max(axis=0)
     note = (
         f"pressed at columns {left:.0f} to {right:.0f}, rows {top:.0f} to {bottom:.0f}, "
         f"slopes up to {np.degrees(table.max_slope_rad):.0f} degrees; beyond that it extrapolates"

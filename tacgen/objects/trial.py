@@ -53,7 +53,7 @@ def tried_ranges(obj: GraspObject) -> tuple[Ranges, list[str]]:
 
             for place in places:
                 try:
-                    holds[place] = bisect_left(FORCES_N, True, key=lambda f, p=place: held(f, *p))
+                    holds[place] = bisect_left(FORCES_N, True, key=lambda f: held(f, *place))
                 except _NotExecuted as error:
                     reasons.append(str(error))
     except PhysicsError as error:
@@ -62,7 +62,7 @@ def tried_ranges(obj: GraspObject) -> tuple[Ranges, list[str]]:
         note = f"none of the suggested grasps can be executed ({reasons[0]}); edit grasp_ranges"
         return ranges, [note]
     shown = {
-        place: bisect_left(FORCES_N, True, key=lambda f, p=poses[place]: is_shown_in(surface, p, f))
+        place: bisect_left(FORCES_N, True, key=partial(is_shown_in, surface, poses[place]))
         for place in holds
     }
     return _mixed(ranges, holds, shown)

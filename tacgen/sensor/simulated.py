@@ -187,7 +187,7 @@ class Sensor:
         else:
             self.law = ContactLaw.default() if contact is None else load_law(Path(contact))
         self.table = load_table(self.description.table)
-        self._drawn = {"shadows": shadows, "markers": markers}
+        self._drawn: dict[str, Any] = {"shadows": shadows, "markers": markers}
         self._pad = TactilePad(self.description, self.table, **self._drawn)
         self._rng = np.random.default_rng(np.random.SeedSequence(seed)) if noise else None
         self._simulation: EngineContacts | None = None

@@ -36,7 +36,8 @@ def with_background(table: LookupTable, presses: PressImages, *, own: bool) -> L
         at_rest = tacgen.Sensor(table.sensor).at_rest_rgb().astype(np.float32)
         shipped = cv2.resize(at_rest, size, interpolation=cv2.INTER_AREA)
         background = background + presses.background - shipped
-    return replace(table, background=background, mm_per_px=presses.mm_per_px)
+    at_rest_rgb = np.asarray(background, np.float32)
+    return replace(table, background=at_rest_rgb, mm_per_px=presses.mm_per_px)
 
 
 def _figures(score: TableScore) -> str:

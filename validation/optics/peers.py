@@ -77,7 +77,7 @@ def _sensor(peer: str) -> tuple[Sensor, LookupTable]:
             mm_per_px=mm_per_px,
             gel_size_mm=(mm_per_px, mm_per_px),
         ),
-        replace(table, background=background, mm_per_px=mm_per_px),
+        replace(table, background=np.asarray(background, np.float32), mm_per_px=mm_per_px),
     )
 
 

@@ -214,7 +214,7 @@ def _fit_radius(log: PressLog) -> tuple[float, tuple[float, float], float]:
     found = fits(float(best.x))
     power = sum(float(left @ left) for left, _ in found)
     shared = sum(float(left[1:] @ left[:-1]) for left, _ in found) / max(power, 1e-300)
-    count = sum(len(left) for left, _ in found)
+    count = float(sum(len(left) for left, _ in found))
     count *= (1.0 - max(shared, 0.0)) / (1.0 + max(shared, 0.0))
     freedom = max(count, MIN_CURVE_SAMPLES) - 1 - 3 * len(curves)
     limit = best.fun * (1.0 + 3.841 / max(freedom, 1.0))

@@ -79,7 +79,7 @@ def calibrate_contact(
     if markers is not None:
         gel, tracks = load_tracks(markers, sensor, fit.log)
         data = field_data(tracks, gel, law.k_n_mm3_per_n.value)
-        field = fit_field(data, fit.shear.pooled if fit.shear else None)
+        field = fit_field(data, law.k_s_mm_per_n if fit.shear else None)
         fit = replace(fit, warnings=(*fit.warnings, *tracks.warnings))
         law = replace(
             law,
