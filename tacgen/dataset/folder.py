@@ -41,7 +41,7 @@ from tacgen.dataset.manifest import (
 from tacgen.dataset.samples import DatasetSpec, GraspSample
 from tacgen.dataset.writer import write_shard_file
 
-MAX_VALUE_CHARS = 120  # of a setting in a message: longer ones are told by what they list
+MAX_VALUE_CHARS = 120  # of a setting in a message: longer ones are shortened to what they list
 MAX_PLAN_BYTES = 64 << 20  # a plan has some kilobytes, and the axes of each object
 
 

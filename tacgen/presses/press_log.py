@@ -711,7 +711,7 @@ def _check_tied_times(found: _Findings, blocks: list[IntArray]) -> None:
     if tied:
         found.warn(
             f"samples of {tied} presses share their time ({max(shares):.0%} in one of them): what "
-            "depends on time or on the load's history cannot be told from this clock; record it "
+            "depends on time or on the load's history does not show in this clock; record it "
             "with its parts of a second"
         )
 

@@ -86,9 +86,9 @@ def explaining(simulated: IntArray, real: IntArray) -> BoolArray:
     """
     distinct, which = np.unique(simulated, axis=1, return_inverse=True)
     votes = np.bincount(which.ravel(), 2.0 * real - 1.0)
-    told = (votes != 0) & (distinct != distinct[0]).any(axis=0)
-    curve = (distinct != (votes > 0))[:, told].sum(axis=1)
-    share = max(LEAST_WRONG_SHARE, curve.min() / max(told.sum(), 1))
+    counted = (votes != 0) & (distinct != distinct[0]).any(axis=0)
+    curve = (distinct != (votes > 0))[:, counted].sum(axis=1)
+    share = max(LEAST_WRONG_SHARE, curve.min() / max(counted.sum(), 1))
     ratio = share / (1.0 - share) if share < 1.0 else 1.0
     return np.asarray(2.0 * ratio ** (curve - curve.min()) > MISSED)
 
