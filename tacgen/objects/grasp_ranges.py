@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.records import Mesh
-from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N, STANDARD_GRAVITY_M_S2
+from tacgen.core.types import PUBLISHED_K_N_MM3_PER_N, STANDARD_GRAVITY_M_S2, FloatArray
 from tacgen.objects.shading import depth_view, view_axes
 from tacgen.objects.showing import common_window_mm, is_shown
 from tacgen.physics.gripper import default_gripper

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tacgen.core.workers import run_tasks
+from tacgen.core.processes import run_tasks
 from tacgen.dataset import DatasetFolder
 from tacgen.dataset.verify import verify
 from tests.core.test_workers import ITEMS_PER_TASK, Script, items_of

@@ -23,8 +23,8 @@ from tacgen.calibrate.contact.marker_fit import (
     refined,
 )
 from tacgen.contact.law import ContactLaw
-from tacgen.core.arrays import FloatArray
 from tacgen.core.records import Estimate, Sensor
+from tacgen.core.types import FloatArray
 from tacgen.presses.ball_shear import Place
 from tacgen.presses.marker_tracks import AT_REST, MarkerTracks, rigid_fit, turned
 

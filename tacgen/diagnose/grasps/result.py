@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import binom, rankdata
 
-from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.records import GraspObject
+from tacgen.core.types import FloatArray, IntArray
 from tacgen.diagnose.contact.result import SCHEMA, Verdict, finite
 from tacgen.diagnose.grasps.hypotheses import advice
 from tacgen.diagnose.grasps.model_comparison import (

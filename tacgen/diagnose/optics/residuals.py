@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
-from tacgen.core.arrays import FloatArray
+from tacgen.core.types import FloatArray
 from tacgen.diagnose.optics.fit import Model, PressFit, typical
 from tacgen.diagnose.optics.selection import log_gain
 
