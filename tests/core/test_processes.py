@@ -348,7 +348,7 @@ class Heavy:
 MAPS = """
 import sys
 from tacgen.core.processes import map_in_processes
-from tests.core.test_workers import Heavy
+from tests.core.test_processes import Heavy
 if __name__ == "__main__":
     try:
         map_in_processes(Heavy(), [0, 1], 2, method=sys.argv[1])

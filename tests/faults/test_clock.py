@@ -13,7 +13,7 @@ from tacgen.core import processes
 from tacgen.core.files import open_locked
 from tacgen.core.processes import run_tasks
 from tacgen.dataset.verify import verify
-from tests.core.test_workers import ITEMS_PER_TASK, Script
+from tests.core.test_processes import ITEMS_PER_TASK, Script
 from tests.dataset.conftest import collect_toy
 
 
