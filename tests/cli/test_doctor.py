@@ -1,6 +1,5 @@
 """What `doctor` says of a machine."""
 
-
 from tacgen.cli import doctor
 from tacgen.core.errors import PhysicsError
 
