@@ -4,6 +4,7 @@ import importlib.metadata
 import importlib.util
 import os
 import shutil
+import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,8 @@ from tacgen.core.errors import PhysicsError
 from tacgen.physics.settings import engine_of
 
 MIN_FREE_GB = 2.0  # some 3000 grasps of eight frames of 320×240 px, at 80 kB a compressed frame
+GL_PROBE_TIMEOUT_S = 60.0
+"""A software renderer on a loaded machine responds within ten seconds; drivers may hang."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +39,8 @@ def examine(folder: Path = Path()) -> list[Finding]:
         _python(),
         _engine(),
         _pybullet(),
+        _gl_platform("EGL", "egl", "a GPU driver with libEGL (Debian: libegl1)"),
+        _gl_platform("OSMesa", "osmesa", "Debian: libosmesa6, and PyOpenGL 3.1.4 or newer"),
         _compiled(),
         _cores(),
         _disk(folder),
@@ -68,6 +73,19 @@ def _engine() -> Finding:
         return Finding("engine", False, True, "no MuJoCo and no PyBullet", "`pip install mujoco`")
     detail = f"{name} {importlib.metadata.version(name)}, in recipes that name none"
     return Finding("engine", True, True, detail)
+
+
+def _gl_platform(name: str, platform: str, fix: str) -> Finding:
+    """Whether pyrender can open a context; tried in a process of its own, as GL may abort it."""
+    code = "import pyrender; pyrender.OffscreenRenderer(8, 8).delete()"
+    fix += "; only needed for camera: pyrender"
+    environment = os.environ | {"PYOPENGL_PLATFORM": platform}
+    command, limit_s = [sys.executable, "-c", code], GL_PROBE_TIMEOUT_S
+    try:
+        subprocess.run(command, env=environment, capture_output=True, timeout=limit_s, check=True)
+    except (subprocess.TimeoutExpired, subprocess.CalledProcessError):
+        return Finding(name, False, False, "not available", fix)
+    return Finding(name, True, False, "works")
 
 
 def _compiled() -> Finding:

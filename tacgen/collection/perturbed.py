@@ -357,7 +357,7 @@ def _grasp_job(
     settings = recipe.physics_settings
     built = lru_cache(maxsize=1)(recipe_object)
     law = contact_law(recipe.contact)
-    indenter = Indenter(mounted_sensor(recipe, needs_table=False))
+    indenter = Indenter(mounted_sensor(recipe, needs_table=False), recipe.contact.camera)
     first_item = np.cumsum([0, *(len(changes) + 1 for _, changes in tasks)])
     with GraspSimulator(recipe.robot.spec(), recipe.physics.engine) as simulator:
 

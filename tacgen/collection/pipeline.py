@@ -345,7 +345,7 @@ def tactile_pad(recipe: Recipe) -> TactilePad:
         )
         raise TableError(msg)
     drawn = recipe.optics.model_dump(include={"shadows", "markers"})
-    return TactilePad(sensor, table, **drawn)
+    return TactilePad(sensor, table, camera=recipe.contact.camera, **drawn)
 
 
 def frame_times_s(recipe: Recipe) -> tuple[float, ...]:

@@ -188,8 +188,8 @@ class Contact(Located):
     """Gap that the physics keeps between object and gel, which ``linear_depth`` as TACTO has it
     does not take back: below margin / k_depth newtons the image loses the contact. Bullet keeps
     1 mm around each convex hull: 1 against a box, 2 between meshes."""
-    camera: Literal["raster"] = "raster"
-    """The renderer of the gap map: there is one."""
+    camera: Literal["raster", "pyrender"] = "raster"
+    """Renderer of the gap map: tacgen's own, or pyrender (needs OpenGL)."""
 
     def path(self) -> Path | None:
         """The path of ``file``; None if the recipe gives coefficients."""

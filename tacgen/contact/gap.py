@@ -2,6 +2,7 @@
 
 import math
 import operator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +26,8 @@ from tacgen.core.errors import ContactError
 from tacgen.core.records import Sensor
 from tacgen.core.types import FloatArray
 
+CAMERAS = ("raster", "pyrender")
+
 GAP_GRAIN_MM = 2.0**-19
 """Gaps are whole multiples of this (1.9 nm). Below 32 mm such multiples and their differences are
 exact in float32, so the indentation keeps its last bit wherever along z the object is."""
@@ -47,6 +50,8 @@ ROTATION_TOLERANCE = 1e-3
 """By which the axes of a pose may be off those of a rotation: more than rounding to four digits."""
 
 _NONE: Int32 = np.empty(0, np.int32)
+
+DepthCamera = Callable[[Float64, Int32, Float64, Sensor], Float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,9 +212,15 @@ class Surround:
 
 
 class GapMapper:
-    """Takes gap maps of meshes over one sensor, in memory that it keeps."""
+    """Takes gap maps of meshes over one sensor, in memory that it keeps.
 
-    def __init__(self, sensor: Sensor) -> None:
+    Raises ``ContactError`` if the camera is unknown or cannot work on this machine.
+    """
+
+    def __init__(self, sensor: Sensor, camera: str = "raster") -> None:
+        if camera not in CAMERAS:
+            msg = f"camera = {camera!r} is not one of {', '.join(CAMERAS)}"
+            raise ContactError(msg)
         self.sensor = sensor
         self._gel_mm = gel_map_mm(sensor)
         self._surround = Surround(sensor)
@@ -223,6 +234,11 @@ class GapMapper:
         self._posed = np.empty((3, 0))
         self._faces = np.empty((0, 3), dtype=np.int32)
         self._pose, self._zero_mm = np.eye(4), np.inf
+        self._camera: DepthCamera | None = None
+        if camera == "pyrender":
+            from tacgen.contact.pyrender_camera import depth_map_mm
+
+            self._camera = depth_map_mm
 
     @property
     def beside_mm(self) -> Float64:
@@ -267,7 +283,14 @@ class GapMapper:
         Raises ``ContactError`` if the mesh or pose is no mesh or pose.
         """
         pose = self._take(vertices_mm, faces, pose_gel_object)
-        window, zero_mm = self._rasterize(pose, reach_mm)
+        if self._camera is None:
+            window, zero_mm = self._rasterize(pose, reach_mm)
+        else:
+            mesh = self._mesh
+            self._faces_over(pose)
+            self._depth_mm[...] = self._camera(mesh.vertices_mm, mesh.faces, pose, self.sensor)
+            window = (0, self.sensor.height_px, 0, self.sensor.width_px)
+            zero_mm = _smallest_gap(self._depth_mm, self._gel_mm, window)
         self._pose, self._zero_mm = pose, zero_mm
         if not np.isfinite(zero_mm):
             return ObjectGap((0, 0, 0, 0), np.empty((0, 0), dtype=np.int32), np.inf)
@@ -332,6 +355,8 @@ def gap_map(
     faces: NDArray[np.integer],
     pose_gel_object: NDArray[np.floating],
     sensor: Sensor,
+    *,
+    camera: str = "raster",
 ) -> NDArray[np.float32]:
     """Distance along z from the gel at rest to the nearest surface of a posed mesh.
 
@@ -344,6 +369,7 @@ def gap_map(
     pose_gel_object : (4, 4)
         Object to gel frame, mm.
     sensor : Sensor
+    camera : {"raster", "pyrender"}
 
     Returns
     -------
@@ -355,13 +381,13 @@ def gap_map(
     Raises
     ------
     ContactError
-        If the mesh or pose is no mesh or pose.
+        If the mesh or pose is no mesh or pose, or the camera cannot be used.
 
     Source
     ------
     Si et al. 2022, §III-B: the depth camera at the gel's surface.
     """
-    gap = GapMapper(sensor).measure(vertices_mm, faces, pose_gel_object)
+    gap = GapMapper(sensor, camera).measure(vertices_mm, faces, pose_gel_object)
     gap_mm = np.full(sensor.shape_px, np.inf, dtype=np.float32)
     if gap.touches:
         top, bottom, left, right = gap.window

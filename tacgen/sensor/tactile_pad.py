@@ -150,11 +150,11 @@ def _fill_depth(
 
 
 class Indenter:
-    """Presses objects into the gel of one sensor."""
+    """Presses objects into the gel of one sensor; ``camera`` as of :class:`TactilePad`."""
 
-    def __init__(self, sensor: Sensor) -> None:
+    def __init__(self, sensor: Sensor, camera: str = "raster") -> None:
         self.sensor = sensor
-        self._mapper = GapMapper(sensor)
+        self._mapper = GapMapper(sensor, camera)
         self._x_mm, self._y_mm = pixel_centers_mm(sensor)
         self._reach_mm = sensor.gel_depth_mm
         self._spills = False  # beyond the window, as the last contact did
@@ -303,10 +303,10 @@ def _curvature(dome_radius_mm: float) -> float:
 class TactilePad:
     """One tactile pad, made ready for frame after frame.
 
-    ``table`` is of the sensor's resolution.
+    ``table`` is of the sensor's resolution; ``camera`` ("raster" or "pyrender") takes the gap map.
 
-    Raises ``TableError`` if the table does not fit, ``SensorError`` if there are no markers to
-    draw.
+    Raises ``ContactError`` if the camera cannot be used, ``TableError`` if the table does not fit,
+    ``SensorError`` if there are no markers to draw.
     """
 
     def __init__(
@@ -314,6 +314,7 @@ class TactilePad:
         sensor: Sensor,
         table: LookupTable,
         *,
+        camera: str = "raster",
         shadows: bool = False,
         markers: bool = False,
     ) -> None:
@@ -338,7 +339,7 @@ class TactilePad:
             raise SensorError(no_markers(sensor.name))
         self.sensor = sensor
         self.table = table
-        self.indenter = Indenter(sensor)
+        self.indenter = Indenter(sensor, camera)
         self._deformer = Deformer(sensor.mm_per_px)
         self._renderer = Renderer(
             table,

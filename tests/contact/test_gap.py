@@ -1,5 +1,9 @@
 """The gap map against closed forms, and what must not depend on how it is taken."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import trimesh
@@ -188,5 +192,47 @@ def test_bad_meshes_are_refused_with_everything_that_is_wrong():
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, np.nan, 0]])
     with pytest.raises(ContactError, match=r"(?s)finite.*corners 0 to 7.*pose"):
         gap_map(vertices, np.array([[0, 1, 7]]), np.eye(3), FLAT)
+    with pytest.raises(ContactError, match="raster, pyrender"):
+        gap_map(*ball(1.0), np.eye(4), FLAT, camera="kinect")
     with pytest.raises(ContactError, match="larger radius"):
         gel_map_mm(Sensor("small", 120, 160, 0.1, 4.0, dome_radius_mm=5.0))
+
+
+PYRENDER = """
+import sys, numpy as np, trimesh
+from tacgen.contact import gap_map
+from tacgen.core.errors import ContactError
+from tacgen.core.records import Sensor
+shape = trimesh.creation.icosphere(subdivisions=4, radius=6.0)
+pose = np.eye(4); pose[:3, 3] = 0.31, -0.47, 7.5
+try:
+    for sensor in (Sensor("a", 120, 160, 0.05, 4.0, 30.0), Sensor("b", 160, 120, 0.1, 4.0)):
+        by_gl = gap_map(shape.vertices, shape.faces, pose, sensor, camera="pyrender")
+        exact = gap_map(shape.vertices, shape.faces, pose, sensor)
+        both = np.isfinite(by_gl) & np.isfinite(exact)
+        inner = both & (exact < exact.min() + 3)
+        error = abs(by_gl - exact)[inner]
+        differ = np.isfinite(by_gl) != np.isfinite(exact)
+        print(sensor.name, error.max(), differ.sum(), both.sum())
+        assert inner.sum() > 5000
+        assert error.max() < 1e-3, error.max()
+        assert differ.sum() <= 0.01 * both.sum(), differ.sum()
+except ContactError as error:
+    print(error); sys.exit(77)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("platform", ["egl", "osmesa"])
+def test_pyrender_sees_the_same_gap(platform):
+    """On the slopes that a gel feels, to a thousandth of a millimetre; in a process of its own."""
+    result = subprocess.run(
+        [sys.executable, "-c", PYRENDER],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYOPENGL_PLATFORM": platform},
+    )
+    if result.returncode == 77:
+        pytest.skip(f"no pyrender on {platform} here: {result.stdout.strip()[:200]}")
+    assert result.returncode == 0, result.stderr[-1500:]

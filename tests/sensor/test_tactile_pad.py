@@ -226,6 +226,20 @@ def test_a_mesh_is_checked_at_every_press(table):
         pad.press(loose, pose_at(), load)
 
 
+def test_both_cameras_press_the_same(table, monkeypatch):
+    """The other camera's part of the joint, with the exact depth in place of GL."""
+    mesh, pose = ball(4.0), pose_at(1, -1, 4)
+    exact = TactilePad(SENSOR, table).press(mesh, pose, GelLoad(6.0))
+
+    def by_gap(vertices_mm, faces, pose_gel_object, sensor):
+        gap = gap_map(vertices_mm, faces, pose_gel_object, sensor).astype(float)
+        return gap + gel_map_mm(sensor) - pose_gel_object[2, 3]
+
+    monkeypatch.setattr("tacgen.contact.pyrender_camera.depth_map_mm", by_gap)
+    other = TactilePad(SENSOR, table, camera="pyrender").press(mesh, pose, GelLoad(6.0))
+    assert other.indentation_mm == pytest.approx(exact.indentation_mm, abs=1e-5)
+
+
 @pytest.mark.slow
 def test_the_shipped_virtual_table_renders_unseen_presses_as_the_virtual_sensor():
     """Balls of sizes and places that the fit had not; noise-free, in grey levels."""
