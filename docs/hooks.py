@@ -20,9 +20,9 @@ from pydantic import BaseModel
 from tacgen.cli.common import app
 from tacgen.cli.recipes import recipe_kinds
 from tacgen.contact.effects import all_effects
-from tacgen.core import columns
+from tacgen.core import records
 from tacgen.core.resources import packaged
-from tacgen.core.yaml_source import kind_of, read_yaml
+from tacgen.core.schema import kind_of, read_yaml
 from tacgen.diagnose.rules import ContactRules, SearchRules
 from tacgen.objects.description import ObjectDescription
 from tacgen.sensor.description import _SensorYaml
@@ -217,7 +217,7 @@ def _default(one: Any) -> str:
 
 
 def _columns(name: str) -> str:
-    rows = [f"| `{column}` | {text} |" for column, text in getattr(columns, name).items()]
+    rows = [f"| `{column}` | {text} |" for column, text in getattr(records, name).items()]
     return "\n".join(["| column | meaning |", "|---|---|", *rows])
 
 

@@ -28,7 +28,7 @@ from tacgen.core.errors import (
     TacgenError,
 )
 from tacgen.core.safe_io import read_rgb
-from tacgen.core.yaml_source import read_yaml
+from tacgen.core.schema import read_yaml
 from tacgen.dataset import Dataset, DatasetFolder
 from tacgen.dataset.manifest import MAX_SHARD_GRASPS, parse_line
 from tacgen.objects.mesh_import import import_surface

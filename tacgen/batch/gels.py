@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from tacgen.batch import shear_kernels
 from tacgen.contact.law import ContactLaw
 from tacgen.contact.shear_field import AHEAD, MOST_SWEEPS, SKIN, TOLERANCE
-from tacgen.core.arrays import FloatArray
 from tacgen.core.records import ContactFrame, Sensor
+from tacgen.core.types import FloatArray
 from tacgen.sensor.gel_response import GelCourse, GelLoad, gel_load, gel_loads
 from tacgen.sensor.gel_shear import GelShear
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from tacgen.batch.arrays import find_device
 from tacgen.batch.renderer import BatchRenderer, undrawable
 from tacgen.core.errors import SensorError
-from tacgen.core.noise import CameraNoise
 from tacgen.optics import shade
+from tacgen.optics.noise import CameraNoise
 from tacgen.sensor.tactile_pad import Imprint, TactilePad
 
 

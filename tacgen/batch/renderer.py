@@ -21,11 +21,10 @@ from tacgen.contact.gap import (
 from tacgen.contact.gel import gel_map_mm
 from tacgen.contact.raster import CellMesh, cut_mesh
 from tacgen.contact.shear import DILATION_DECAY_PER_MM2, DILATION_GAIN, marker_grid_mm
-from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import ContactError, SensorError, TableError
-from tacgen.core.noise import CameraNoise
 from tacgen.core.records import Markers, Mesh
 from tacgen.core.records import Sensor as Description
+from tacgen.core.types import FloatArray
 from tacgen.optics import shade
 from tacgen.optics.deform import (
     FINAL_SIGMA_MM,
@@ -38,6 +37,7 @@ from tacgen.optics.effects import with_cast_shadows
 from tacgen.optics.effects.shadow import DEFAULT_STRENGTH, PENUMBRA_MM, SHADOW
 from tacgen.optics.image_models import Quadratic, Response
 from tacgen.optics.markers import INK_TRANSMISSION
+from tacgen.optics.noise import CameraNoise
 from tacgen.optics.render import Shader
 from tacgen.optics.smooth import Gaussian
 from tacgen.optics.table import LookupTable

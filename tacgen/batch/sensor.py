@@ -18,8 +18,7 @@ import numpy as np
 
 from tacgen.contact.gap import GAP_GRAIN_MM
 from tacgen.contact.law import ContactLaw
-from tacgen.core.errors import ContactError, SensorError
-from tacgen.core.optional_dependencies import require_extra
+from tacgen.core.errors import ContactError, SensorError, require_extra
 from tacgen.sensor.simulated import MeshLike, Sensor, as_mesh, warn_of_metres
 
 NUMBERS = ("int32", "int64", "float32", "float64")

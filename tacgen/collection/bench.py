@@ -18,8 +18,7 @@ from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe
 from tacgen.contact import gap_map, solve_indentation
-from tacgen.core.errors import SensorError
-from tacgen.core.optional_dependencies import require_extra
+from tacgen.core.errors import SensorError, require_extra
 from tacgen.core.records import Mesh
 from tacgen.objects import load_object
 from tacgen.optics import load_table

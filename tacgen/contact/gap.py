@@ -21,10 +21,10 @@ from tacgen.contact.raster import (
     rasterize,
     whole_mesh,
 )
-from tacgen.core.arrays import FloatArray
 from tacgen.core.compiled import njit
 from tacgen.core.errors import ContactError
 from tacgen.core.records import Sensor
+from tacgen.core.types import FloatArray
 
 CAMERAS = ("raster", "pyrender")
 

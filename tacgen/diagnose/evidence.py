@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import rankdata
 
-from tacgen.core.arrays import FloatArray, IntArray
+from tacgen.core.types import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)

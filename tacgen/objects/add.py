@@ -14,10 +14,10 @@ import trimesh
 import yaml
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import ObjectError
 from tacgen.core.files import sha256_of, sync_file
 from tacgen.core.records import GraspObject, Mesh
+from tacgen.core.types import FloatArray
 from tacgen.objects.cutting import CONCAVITIES, convex_parts, cut_again
 from tacgen.objects.description import NAME_PATTERN
 from tacgen.objects.grasp_ranges import (

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PressError
+from tacgen.core.types import FloatArray
 from tacgen.optics.dots import coarse, printed_dots
 from tacgen.optics.same_view import alignment, apart_grey, other_view
 from tacgen.presses.circles import Circle, change_in, drift_free_change, find_circle

@@ -9,8 +9,8 @@ from tacgen.contact.gel import gel_map_mm
 from tacgen.contact.indentation import contact_depth, solve_indentation
 from tacgen.contact.shear import dilation_mm
 from tacgen.contact.shear_field import TOLERANCE
-from tacgen.core.arrays import FloatArray
 from tacgen.core.records import Sensor
+from tacgen.core.types import FloatArray
 from tacgen.sensor.gel_shear import GelShear
 
 EVERY = 4  # pixels: so far apart the depth below a ball is computed, finer than the lattice

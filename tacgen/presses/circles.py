@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.optimize import least_squares
 
-from tacgen.core.arrays import BoolArray, FloatArray
+from tacgen.core.types import BoolArray, FloatArray
 from tacgen.optics.dots import coarse
 from tacgen.presses.geometry import Membrane, PressedGel
 

@@ -13,7 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from tacgen.core.arrays import BoolArray, FloatArray, IntArray
+from tacgen.core.types import BoolArray, FloatArray, IntArray
 from tacgen.presses.press_images import PressImages
 
 NEAR_PX = 1.0

@@ -17,14 +17,13 @@ import pandas as pd
 import yaml
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import BoolArray, FloatArray
-from tacgen.core.columns import csv_problem
-from tacgen.core.errors import PressError
+from tacgen.core.errors import PressError, require_extra
 from tacgen.core.files import atomic_folder, is_file, read_small_text
 from tacgen.core.images import encode_png
-from tacgen.core.optional_dependencies import require_extra
 from tacgen.core.progress import print_status
+from tacgen.core.records import csv_problem
 from tacgen.core.safe_io import check_archive, decode_rgb, read_rgb
+from tacgen.core.types import BoolArray, FloatArray
 from tacgen.presses.background_check import MIN_PRESSES
 from tacgen.presses.circles import find_circle
 from tacgen.presses.press_folder import COORDINATES, STAGE

@@ -17,11 +17,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from tacgen.core.arrays import BoolArray, FloatArray, IntArray
-from tacgen.core.columns import DEPTH_CURVES, PRESS_LOG, PRESSES, csv_problem
-from tacgen.core.errors import PressError, require_known
-from tacgen.core.optional_dependencies import require_extra
-from tacgen.core.units import STANDARD_GRAVITY_M_S2
+from tacgen.core.errors import PressError, require_extra, require_known
+from tacgen.core.records import DEPTH_CURVES, PRESS_LOG, PRESSES, csv_problem
+from tacgen.core.types import STANDARD_GRAVITY_M_S2, BoolArray, FloatArray, IntArray
 
 Cells = Sequence[str]
 """A column of a table as text, a cell a row; empty where the file has none."""

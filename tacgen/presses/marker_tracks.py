@@ -13,9 +13,9 @@ from scipy.spatial import cKDTree
 
 from tacgen.contact.gel import px_to_mm
 from tacgen.contact.shear import marker_grid_mm
-from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 from tacgen.core.errors import PressError
 from tacgen.core.records import Sensor
+from tacgen.core.types import BoolArray, FloatArray, IntArray
 from tacgen.optics.dots import LEAST_SEEN, dots_at_rest, follow
 from tacgen.presses.lab_table import numeric_columns, read_table
 from tacgen.presses.press_folder import PressFolder

@@ -11,12 +11,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import FloatArray
-from tacgen.core.columns import PRESSES, similar_columns
 from tacgen.core.errors import PressError
 from tacgen.core.files import sha256_of
+from tacgen.core.records import PRESSES, similar_columns
 from tacgen.core.safe_io import IMAGE_SUFFIXES, check_archive, read_rgb, rgb_of_array
-from tacgen.core.yaml_source import read_yaml
+from tacgen.core.schema import read_yaml
+from tacgen.core.types import FloatArray
 from tacgen.presses.lab_table import (
     column_problems,
     numeric_columns,

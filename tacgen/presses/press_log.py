@@ -16,12 +16,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import BoolArray, FloatArray, IntArray
-from tacgen.core.columns import PRESS_LOG, similar_columns
 from tacgen.core.errors import PressError
 from tacgen.core.files import sha256_of
-from tacgen.core.records import frozen_array
-from tacgen.core.units import GELS_K_N_MM3_PER_N, PUBLISHED_K_N_MM3_PER_N
+from tacgen.core.records import PRESS_LOG, frozen_array, similar_columns
+from tacgen.core.types import (
+    GELS_K_N_MM3_PER_N,
+    PUBLISHED_K_N_MM3_PER_N,
+    BoolArray,
+    FloatArray,
+    IntArray,
+)
 from tacgen.presses.geometry import ball_volume_mm3
 from tacgen.presses.independent_rows import independent_rows
 from tacgen.presses.lab_table import (

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.errors import PressError
-from tacgen.core.workers import map_in_processes
+from tacgen.core.processes import map_in_processes
 from tacgen.optics.dots import dots_in, printed_dots
 from tacgen.presses.background_check import MIN_PRESSES, check_background
 from tacgen.presses.circles import Circle, change_in, disc_of, find_circle, outside_share

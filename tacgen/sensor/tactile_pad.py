@@ -11,10 +11,10 @@ from tacgen.contact.gel import gel_map_mm, gel_size_mm, pixel_centers_mm
 from tacgen.contact.indentation import solve_grains
 from tacgen.contact.shear import ShearMotion, dilation_mm, marker_grid_mm
 from tacgen.contact.shear_field import ShearState, weighted
-from tacgen.core.arrays import FloatArray
 from tacgen.core.compiled import njit
 from tacgen.core.errors import SensorError, TableError
 from tacgen.core.records import ContactPatch, ContactStatus, Mesh, Sensor
+from tacgen.core.types import FloatArray
 from tacgen.optics.deform import Deformer
 from tacgen.optics.render import Renderer
 from tacgen.optics.smooth import Window

@@ -458,7 +458,7 @@ def test_a_table_of_another_sensor(tmp_path):
 
 
 def test_warp_is_not_there(monkeypatch):
-    monkeypatch.setattr("tacgen.core.optional_dependencies.find_spec", lambda name: None)
+    monkeypatch.setattr("tacgen.core.errors.find_spec", lambda name: None)
     for needs_warp in (batch, lambda: list(batch_figures([1], "cpu", 5))):
         with pytest.raises(
             SensorError, match=r"warp, not installed .* `pip install 'tacgen\[batch"

@@ -63,13 +63,13 @@ def test_without_a_gpu_auto_is_none_and_says_so(monkeypatch, capsys):
     from tacgen.core.progress import print_once
 
     print_once.cache_clear()
-    monkeypatch.setattr("tacgen.core.optional_dependencies.find_spec", lambda name: None)
+    monkeypatch.setattr("tacgen.core.errors.find_spec", lambda name: None)
     assert recipe_of(device="auto") == recipe_of()
     assert "optics.device = auto: images are drawn as without the key" in capsys.readouterr().err
 
 
 def test_warp_is_not_there(monkeypatch, tmp_path):
-    monkeypatch.setattr("tacgen.core.optional_dependencies.find_spec", lambda name: None)
+    monkeypatch.setattr("tacgen.core.errors.find_spec", lambda name: None)
     with pytest.raises(SensorError, match=r"optics.device = 'cpu' needs warp, not installed"):
         prepare(recipe_of(device="cpu"), tmp_path / "data")
     assert not (tmp_path / "data").exists()

@@ -17,8 +17,8 @@ import numpy as np
 
 from tacgen.collection.perturbed import Perturbation, place_of
 from tacgen.collection.recipe import Recipe
-from tacgen.core.arrays import BoolArray
 from tacgen.core.records import GraspConfig
+from tacgen.core.types import BoolArray
 from tacgen.diagnose.grasps.command import refine
 from tacgen.diagnose.grasps.model_comparison import (
     FAILED,

@@ -19,9 +19,9 @@ from scipy.optimize import brentq, least_squares, minimize_scalar
 from scipy.special import fdtrc
 
 from tacgen.calibrate.contact.slope_fit import neighbours
-from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 from tacgen.core.errors import PressError
 from tacgen.core.records import frozen_array
+from tacgen.core.types import BoolArray, FloatArray, IntArray
 from tacgen.presses.geometry import ball_depth_mm, ball_volume_mm3
 from tacgen.presses.press_log import SHEAR, PressLog
 

@@ -14,10 +14,10 @@ from scipy.special import fdtrc
 from tacgen.calibrate.contact.align import ContactPoint, align, limits_of, without_zero
 from tacgen.calibrate.contact.slope_fit import SlopeFit, fit_slope
 from tacgen.contact.law import PLAIN_UNITS, ContactLaw
-from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.errors import PressError
 from tacgen.core.records import Estimate
-from tacgen.core.version import versions
+from tacgen.core.resources import versions
+from tacgen.core.types import FloatArray, IntArray
 from tacgen.presses.press_log import SHEAR_FORCES, SHEAR_MOTIONS, PressLog
 from tacgen.report.formatting import p_value, percent, unit_text
 from tacgen.report.page import templates

@@ -15,9 +15,9 @@ from matplotlib.figure import Figure
 from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
-from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 from tacgen.core.errors import PressError
 from tacgen.core.records import Estimate, Sensor
+from tacgen.core.types import BoolArray, FloatArray, IntArray
 from tacgen.presses.ball_shear import STICKS, BallShear, Place
 from tacgen.presses.marker_tracks import (
     AT_REST,

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
-from tacgen.core.arrays import BoolArray, FloatArray, IntArray
+from tacgen.core.types import BoolArray, FloatArray, IntArray
 
 TUKEY = 4.685  # 95 % efficiency at normal noise (Holland & Welsch 1977)
 MAX_ITERATIONS = 100  # of reweighting; it ends earlier where it has converged

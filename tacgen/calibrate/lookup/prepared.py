@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tacgen.calibrate.lookup.settings import RULES, BackgroundRecipe
 from tacgen.calibrate.lookup.smooth_model import position_features
-from tacgen.core.arrays import BoolArray, FloatArray, IntArray
+from tacgen.core.types import BoolArray, FloatArray, IntArray
 from tacgen.optics.dots import coarse, filled_in
 from tacgen.optics.smooth import Window
 from tacgen.optics.table import features

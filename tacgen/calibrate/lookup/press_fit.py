@@ -19,7 +19,7 @@ from tacgen.calibrate.lookup.smooth_model import (
     solve_ridge,
     weighed,
 )
-from tacgen.core.arrays import FloatArray, IntArray
+from tacgen.core.types import FloatArray, IntArray
 from tacgen.presses.experiments import is_clear
 from tacgen.presses.geometry import MAX_RADIUS_SHARE, Membrane, PressedGel, rest_height, rest_slope
 from tacgen.presses.press_images import PressImages, label_mm, place_mm

@@ -17,7 +17,7 @@ from tacgen.calibrate.lookup.model_choice import fold_of, held_out_squares
 from tacgen.calibrate.lookup.prepared import PreparedPresses
 from tacgen.calibrate.lookup.press_fit import JointFit, place_jointly, press_sums
 from tacgen.calibrate.lookup.settings import RULES, SMOOTH_WITH_DRIFT, FitSettings
-from tacgen.core.arrays import FloatArray
+from tacgen.core.types import FloatArray
 from tacgen.optics.dots import find_spots, nearest_px
 from tacgen.presses.experiments import per_experiment
 from tacgen.presses.press_images import PressImages

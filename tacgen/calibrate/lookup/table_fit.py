@@ -20,9 +20,9 @@ from tacgen.calibrate.lookup.smooth_model import (
     position_degree_of,
     position_features,
 )
-from tacgen.core.arrays import FloatArray, IntArray
-from tacgen.core.version import __version__
-from tacgen.core.workers import map_in_processes
+from tacgen.core.processes import map_in_processes
+from tacgen.core.resources import __version__
+from tacgen.core.types import FloatArray, IntArray
 from tacgen.optics.image_models.base import between_nodes
 from tacgen.optics.table import ContactLight, LookupTable, features
 from tacgen.presses.geometry import PressedGel, rest_slope

@@ -19,7 +19,7 @@ from scipy.optimize import nnls
 
 from tacgen.contact.effects import Channel, LoadHistory
 from tacgen.contact.effects.kernels import moving_mean
-from tacgen.core.arrays import BoolArray, FloatArray
+from tacgen.core.types import BoolArray, FloatArray
 from tacgen.diagnose.rules import CONTACT, ContactRules
 from tacgen.presses.press_log import SHEAR_MOTIONS, Columns
 

@@ -18,9 +18,9 @@ from tacgen.contact.effects import CHANNELS, Channel
 from tacgen.contact.law import ContactLaw, FittedEffect, save_law
 from tacgen.core.errors import PressError
 from tacgen.core.files import refuse_other_page
+from tacgen.core.processes import map_in_processes
 from tacgen.core.records import Estimate
-from tacgen.core.version import versions
-from tacgen.core.workers import map_in_processes
+from tacgen.core.resources import versions
 from tacgen.diagnose.contact import heldout, result
 from tacgen.diagnose.contact.channel import TARGETS, ChannelData, ChannelSamples, noise_floor
 from tacgen.diagnose.contact.heldout import Errors

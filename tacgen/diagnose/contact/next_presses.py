@@ -20,7 +20,7 @@ from itertools import permutations
 import numpy as np
 
 from tacgen.contact.effects import LoadHistory
-from tacgen.core.arrays import FloatArray
+from tacgen.core.types import FloatArray
 from tacgen.diagnose.contact.candidates import effect_candidates
 from tacgen.diagnose.contact.channel import TARGETS, ChannelData
 from tacgen.diagnose.contact.model import prediction_and_jacobian

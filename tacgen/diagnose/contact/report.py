@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from tacgen.core.arrays import FloatArray
+from tacgen.core.types import FloatArray
 from tacgen.diagnose.contact.model import Fit
 from tacgen.diagnose.contact.residuals import covariates_of
 from tacgen.diagnose.contact.result import ChannelDiagnosis, Diagnosis, diagnosis_record

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import FloatArray
+from tacgen.core.types import FloatArray
 from tacgen.diagnose.contact import scores
 from tacgen.diagnose.contact.candidates import follows_load, known_columns, max_levels
 from tacgen.diagnose.contact.channel import TARGETS, ChannelData

@@ -13,7 +13,7 @@ import numpy as np
 
 from tacgen.contact.effects import Effect, all_effects
 from tacgen.contact.effects.base import Parameters
-from tacgen.core.arrays import FloatArray
+from tacgen.core.types import FloatArray
 from tacgen.diagnose.contact import candidates as cand
 from tacgen.diagnose.contact import scores
 from tacgen.diagnose.contact.candidates import Candidate

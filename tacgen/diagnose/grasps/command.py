@@ -12,8 +12,8 @@ import yaml
 from tacgen.collection import perturbed
 from tacgen.collection.inputs import recipe_inputs
 from tacgen.collection.recipe import Recipe
-from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.files import refuse_foreign, refuse_other_page, sha256_of, write_text
+from tacgen.core.types import FloatArray, IntArray
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.diagnose.grasps.force_from_images import force_from_images
 from tacgen.diagnose.grasps.model_comparison import (

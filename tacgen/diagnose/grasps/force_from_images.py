@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from tacgen.collection.grid import PlannedGrasp
 from tacgen.collection.pipeline import GraspPipeline, tactile_pad
 from tacgen.collection.recipe import Randomize, Recipe, Scene
-from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import TacgenError
 from tacgen.core.safe_io import read_rgb
+from tacgen.core.types import FloatArray
 from tacgen.dataset.real_grasps import FRAME_UNKNOWN, RealGrasp, RealGrasps
 from tacgen.diagnose.grasps.model_comparison import NO_READING, ForceReading
 from tacgen.diagnose.rules import GRASPS

@@ -15,7 +15,7 @@ from functools import cached_property, partial
 import numpy as np
 from scipy.special import expit, logit, logsumexp
 
-from tacgen.core.arrays import BoolArray, FloatArray, IntArray
+from tacgen.core.types import BoolArray, FloatArray, IntArray
 from tacgen.diagnose.engine import Problem, grown
 from tacgen.diagnose.grasps.hypotheses import HypothesisCandidate, Prediction
 from tacgen.diagnose.grasps.slip_margin import gain_by_torsion

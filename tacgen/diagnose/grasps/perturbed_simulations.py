@@ -22,8 +22,8 @@ from tacgen.collection.perturbed import (
     simulate_perturbed,
 )
 from tacgen.collection.recipe import Recipe
-from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.records import GraspConfig
+from tacgen.core.types import FloatArray, IntArray
 from tacgen.diagnose.grasps.hypotheses import (
     HypothesisCandidate,
     HypothesisParameter,

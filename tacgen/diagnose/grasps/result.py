@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import binom
 
-from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.records import GraspObject
+from tacgen.core.types import FloatArray, IntArray
 from tacgen.diagnose import record
 from tacgen.diagnose.evidence import Dependence, followed_by_rank
 from tacgen.diagnose.grasps.hypotheses import advice

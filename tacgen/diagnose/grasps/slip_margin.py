@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tacgen.collection.perturbed import Outcome
-from tacgen.core.arrays import BoolArray, FloatArray, IntArray
+from tacgen.core.types import BoolArray, FloatArray, IntArray
 from tacgen.diagnose.rules import GRASPS
 
 

@@ -14,8 +14,8 @@ from tacgen.calibrate.contact.marker_fit import (
     refined,
 )
 from tacgen.contact.law import ContactLaw
-from tacgen.core.arrays import FloatArray
 from tacgen.core.records import Estimate, Sensor
+from tacgen.core.types import FloatArray
 from tacgen.diagnose import record
 from tacgen.diagnose.engine import reached, search
 from tacgen.diagnose.evidence import Dependence, followed_by_rank

@@ -12,7 +12,7 @@ from math import inf
 import numpy as np
 
 from tacgen.calibrate.contact.marker_fit import PLACE_NAMES, FieldData, Slip, fit_slip
-from tacgen.core.arrays import FloatArray
+from tacgen.core.types import FloatArray
 from tacgen.diagnose.engine import Problem
 from tacgen.diagnose.rules import MarkerRules
 from tacgen.presses.ball_shear import Place

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from tacgen.calibrate.lookup.score import check_resolution
 from tacgen.calibrate.lookup.table_fit import calibrate, camera_noise_grey
-from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PressError
-from tacgen.core.version import __version__
+from tacgen.core.resources import __version__
+from tacgen.core.types import FloatArray
 from tacgen.diagnose import record
 from tacgen.diagnose.evidence import Dependence, interval_95, resampled_squares
 from tacgen.diagnose.optics.fit import Known, Model, PressFit, typical

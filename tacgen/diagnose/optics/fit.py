@@ -7,7 +7,7 @@ from enum import IntFlag
 import numpy as np
 
 from tacgen.calibrate.lookup.model_choice import fold_of
-from tacgen.core.arrays import BoolArray, FloatArray, IntArray
+from tacgen.core.types import BoolArray, FloatArray, IntArray
 from tacgen.diagnose.optics.rendering import PressView
 from tacgen.diagnose.rules import OpticsRules
 from tacgen.optics.effects import OpticalCandidate, OpticalParameter, Stage, optical_effect

@@ -10,7 +10,7 @@ import numpy as np
 
 from tacgen.calibrate.lookup.prepared import Pixels, disc_pixels
 from tacgen.calibrate.lookup.score import PressRenderer, press_model_of
-from tacgen.core.arrays import BoolArray, FloatArray, IntArray
+from tacgen.core.types import BoolArray, FloatArray, IntArray
 from tacgen.diagnose.rules import OpticsRules
 from tacgen.optics.effects import OpticalEffect, Patch, Stage, optical_effects
 from tacgen.optics.render import Effects

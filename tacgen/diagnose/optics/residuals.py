@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.stats import t as student
 
-from tacgen.core.arrays import FloatArray
+from tacgen.core.types import FloatArray
 from tacgen.diagnose.evidence import Dependence
 from tacgen.diagnose.optics.fit import Model, PressFit, typical
 from tacgen.diagnose.optics.selection import log_gain

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import t as student
 
-from tacgen.core.arrays import FloatArray
+from tacgen.core.types import FloatArray
 from tacgen.diagnose.engine import Problem, Step, reached, search
 from tacgen.diagnose.optics.fit import Known, Model, PressFit, known_for, typical
 from tacgen.diagnose.rules import OpticsRules
