@@ -24,9 +24,9 @@ from tacgen.core.progress import print_status
 from tacgen.core.records import csv_problem
 from tacgen.core.safe_io import check_archive, decode_rgb, read_rgb
 from tacgen.core.types import BoolArray, FloatArray
-from tacgen.presses.background_check import MIN_PRESSES
 from tacgen.presses.circles import find_circle
 from tacgen.presses.press_folder import COORDINATES, STAGE
+from tacgen.presses.rules import IMAGES
 
 GS_SDK_MM_PER_PX = 0.0634
 """GelSight Mini at 320 × 240 px, from gs_sdk's ``gsmini.yaml`` (called ``ppmm`` there)."""
@@ -110,11 +110,11 @@ def import_presses(
     experiments = table["trial"].nunique() if "trial" in table else len(table)
     print_status(f"{found.n_rows} rows read, {len(rows)} pictures of {experiments} presses written")
     warnings = found.warnings
-    enough = experiments >= MIN_PRESSES
+    enough = experiments >= IMAGES.min_presses
     if not enough:
         fix = "press all over the gel, and import all presses of a sensor at once"
         few = f"{experiments} press{'es are' if experiments > 1 else ' is'} too few for a table"
-        warnings += (f"{few}, which needs at least {MIN_PRESSES}, better 30: {fix}",)
+        warnings += (f"{few}, which needs at least {IMAGES.min_presses}, better 30: {fix}",)
     return ImportedPresses(len(rows), found.notes, warnings, enough)
 
 
@@ -241,7 +241,7 @@ def _contradicted(
         apart = np.hypot(seen.center_px[0] - x, seen.center_px[1] - y)
         sized = 1 - LABEL_OFF < ratios[-1] < 1 / (1 - LABEL_OFF)
         wrong[rows] = not sized or apart > LABEL_OFF * seen.edge_px
-    if not wrong.any() or checked < MIN_PRESSES:
+    if not wrong.any() or checked < IMAGES.min_presses:
         return np.zeros_like(wrong), ""
     share = len(np.unique(trial[wrong])) / checked
     median = f"at the median {np.median(ratios):.2f} times the radius seen in the picture"
