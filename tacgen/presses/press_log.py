@@ -685,7 +685,10 @@ def _other_unit(found: _Findings, blocks: list[IntArray]) -> Found:
 
 CHECKS = (
     Check(_empty_cells, "fill the cells or delete the press"),
-    Check(_clock_goes_back, "sort the rows by trial and time, and give each press its own number"),
+    Check(
+        _clock_goes_back,
+        "sort the rows by trial and time, and give each press its own trial number",
+    ),
     Check(_copies, "delete one of the two", loses_nothing=True),
     Check(_numbers_taken, "give each press its own trial number, in one block of rows"),
     Check(_constant_forces, "check the gauge"),
