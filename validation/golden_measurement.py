@@ -51,14 +51,14 @@ def _as_text(value: Any) -> str:
             return float(f"{one:.10g}")
         return one.item() if isinstance(one, np.generic) else one
 
-    return json.dumps(plain(value), indent=1, ensure_ascii=False) + "\n"
+    return json.dumps(plain(value), indent=1, ensure_ascii=False, sort_keys=True) + "\n"
 
 
 def attributions() -> dict[str, str]:
     """Members, losses, fitted values and rankings of searches on blind logs."""
     from tacgen.contact.effects import Channel
     from tacgen.diagnose.contact.channel import ChannelSamples
-    from tacgen.diagnose.contact.search import FittedSet, Selection
+    from tacgen.diagnose.contact.search import ContactProblem, FittedSet
     from tacgen.presses.press_log import read_press_log
     from validation.blind.generator import draw_case
 
@@ -82,7 +82,7 @@ def attributions() -> dict[str, str]:
             channel: Channel = "shear" if "shear" in effects else "normal"
             columns = {k: v[np.isfinite(log.columns["volume_mm3"])] for k, v in log.columns.items()}
             data = ChannelSamples(columns, channel).thinned()
-            found = Selection(data, np.random.default_rng(1)).run()
+            found = ContactProblem(data, np.random.default_rng(1)).run()
             texts[f"attribution/{name}{kind}"] = _as_text(
                 {
                     "base": told(found.base),
