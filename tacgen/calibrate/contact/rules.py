@@ -1,4 +1,4 @@
-"""Thresholds of the fit of a contact law, each with its reason."""
+"""Thresholds of the fits of a contact law and of a shear field, each with its reason."""
 
 from dataclasses import dataclass
 
@@ -40,4 +40,35 @@ class LawRules:
     min_presses_for_own_table: int = 6  # presses that they are of
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FieldRules:
+    """What decides how friction and decay are fitted to dots, and when a fit is refused."""
+
+    # What is fitted, and how far
+    least_presses: int = 4  # with shear: fewer leave no scatter to give intervals by
+    most_frames: int = 16  # of a press, from loading over the largest shear back to none: with half
+    # of them the load's steps are so coarse that μ comes out a few per cent wrong
+    start_decay_mm: float = 1.5
+    start_slips: tuple[float, ...] = (0.6, 1.2, 2.4, 5.0)  # 1/μ, the best of which is gone on from
+    step: float = 0.02  # of a parameter, for its derivative: the slip's rim goes node by node
+    first_slip_steps: float = 25.0  # 1/μ at which a rim slips that is seen
+    field_tolerance: float = 1e-4  # of the motion, of which a step of a parameter changes some 1e-2
+    tolerance: float = 2e-3  # of the parameters, far below any interval
+    most_steps: int = 10
+    most_known: int = 6000  # strains that are kept: some 80 MB of them
+    arrows: int = 3  # presses that are drawn: the worst explained, the median and the best
+
+    # Refusals; shares of the squared motion, noise left out
+    clear: float = (
+        0.5  # less explained, or a gel that moves against the force: tried in other axes.
+    )
+    # On the virtual rig it is 0.98 for decays of 0.8 to 3 mm, in other axes at most 0.3
+    frames_for_axes: int = 4  # of a press, that tell in which axes its tracks are written
+    other_axes: float = 0.5  # times the squared error as written: what the right axes leave at most
+    least: float = 0.2  # explained: unrelated motions are by 0.1
+    contradiction: float = 0.25  # of the log's own k_s, where intervals differ too: on the virtual
+    # rig they agree to 0.03
+
+
 RULES = LawRules()
+FIELD = FieldRules()
