@@ -6,7 +6,7 @@ import numpy as np
 from PIL import Image
 
 from tacgen.collection.grid import plan_recipe
-from tacgen.collection.pipeline import GraspPipeline, frame_times_s
+from tacgen.collection.pipeline import GraspPipeline, planned_times_s
 from tacgen.collection.recipe import Recipe
 from tacgen.core.errors import RecipeError
 from tacgen.core.files import atomic_path
@@ -36,7 +36,7 @@ def write_gif(recipe: Recipe, index: int, path: Path) -> str:
         raise RecipeError(msg)
     moments = zip(*(pad.rgb for pad in sample.pads.values()), strict=True)
     frames = [Image.fromarray(side_by_side(list(pads), MAX_WIDTH_PX)) for pads in moments]
-    times_s = np.asarray(frame_times_s(recipe))
+    times_s = np.asarray(planned_times_s(recipe))
     step_ms = 1000.0 * float(np.diff(times_s).mean()) if len(times_s) > 1 else 1000.0
     with atomic_path(path) as partial:
         frames[0].save(

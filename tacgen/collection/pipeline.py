@@ -85,7 +85,7 @@ class GraspPipeline:
             require_extra("batch", f"optics.device = {device!r} needs", SensorError)
             from tacgen.batch.pad_images import PadImages
 
-            self._on_device = PadImages(self._pad, len(frame_times_s(recipe)), device)
+            self._on_device = PadImages(self._pad, len(planned_times_s(recipe)), device)
         self.simulator = GraspSimulator(recipe.robot.spec(), recipe.physics.engine)
         self._object = lru_cache(maxsize=objects_kept)(recipe_object)
 
@@ -217,7 +217,7 @@ class GraspPipeline:
         trace, gripper = grasp.trace, self.simulator.robot.gripper
         if trace.status != "executed":
             stands = np.tile(
-                (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0), (len(frame_times_s(self.recipe)), 1)
+                (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0), (len(planned_times_s(self.recipe)), 1)
             )
             trace = replace(trace, object_pose=stands)
         return camera_samples(self.recipe, grasp.grasped, trace, gripper)
@@ -261,7 +261,7 @@ class GraspPipeline:
         trace, executed = grasp.trace, grasp.trace.status == "executed"
         stream = _STREAM_NOISE if executed else _STREAM_NOISE_AT_REST
         noise = self._noise_of(grasp.planned, stream, attempt)
-        count = len(frame_times_s(self.recipe))
+        count = len(planned_times_s(self.recipe))
         samples = {}
         for pad, frames in trace.frames.items():
             if executed:
@@ -348,7 +348,7 @@ def tactile_pad(recipe: Recipe) -> TactilePad:
     return TactilePad(sensor, table, camera=recipe.contact.camera, **drawn)
 
 
-def frame_times_s(recipe: Recipe) -> tuple[float, ...]:
+def planned_times_s(recipe: Recipe) -> tuple[float, ...]:
     """Times of a grasp's frames from the start of closing on; 0 for the single one.
 
     The frame of the moment of grasp is taken at that moment instead.
@@ -393,7 +393,7 @@ def dataset_spec(
         parts=parts,
         sensor=sensor,
         pads=recipe.physics_settings.sensing_pads,
-        time_s=frame_times_s(recipe),
+        time_s=planned_times_s(recipe),
         n_grasps=n_grasps,
         shard_size=recipe.dataset.shard_size,
         reference_rgb=pad.image(Imprint()),

@@ -23,6 +23,7 @@ from pydantic import (
     model_validator,
 )
 
+from tacgen.contact.gap import pose_problem
 from tacgen.core.errors import ObjectError, PhysicsError, RecipeError, TacgenError, missing_extra
 from tacgen.core.files import sha256_of_content
 from tacgen.core.progress import print_once
@@ -237,7 +238,6 @@ class Split(Section):
 
 
 STRAIGHT = 1 - 1e-9  # of a camera's forward axis along z, from which it has no upper side there
-ROTATION_TOLERANCE = 1e-3  # of a rotation as people write it, with four digits
 _Side = Annotated[int, Field(ge=8, le=2048)]
 _Place = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 _Row = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
@@ -300,7 +300,7 @@ class SceneCamera(Section):
             msg = "is placed by one of `look_at` and `pose`; give one of them"
             raise ValueError(msg)
         t = self.camera().t_world_camera_mm
-        if (problem := _pose_problem(t)) and self.pose is not None:
+        if (problem := pose_problem(t)) and self.pose is not None:
             msg = f"pose {problem}"
             raise ValueError(msg)
         if problem:
@@ -318,7 +318,7 @@ class SceneCamera(Section):
         focal_px = round(height / 2 / math.tan(math.radians(self.fov_deg) / 2), 6)
         k_px = [[focal_px, 0, (width - 1) / 2], [0, focal_px, (height - 1) / 2], [0, 0, 1]]
         given = np.array(self.pose) if self.look_at is None else _looking(self.look_at)
-        pose = given if _pose_problem(given) else _squared(given)
+        pose = given if pose_problem(given) else _squared(given)
         return Camera(self.name, height, width, frozen_array(k_px), frozen_array(pose))
 
 
@@ -342,19 +342,8 @@ def _squared(pose: NDArray[np.float64]) -> NDArray[np.float64]:
     x = x - (x * z).sum() * z
     x = x / math.sqrt((x**2).sum())
     found = pose.copy()
-    found[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+    found[:3, :3], found[3] = np.stack([x, np.cross(z, x), z], axis=1), (0.0, 0.0, 0.0, 1.0)
     return found
-
-
-def _pose_problem(pose: NDArray[np.float64]) -> str:
-    """What keeps a (4, 4) matrix from being a pose; empty if nothing does."""
-    rotation, last = pose[:3, :3], pose[3]
-    off = np.abs(rotation.T @ rotation - np.eye(3)).max()
-    if not np.array_equal(last, (0, 0, 0, 1)):
-        return f"has the last row {last.tolist()}, not [0, 0, 0, 1]"
-    if off > ROTATION_TOLERANCE:
-        return f"is no rotation: its axes are off unit length and right angles by {off:.2g}"
-    return "" if np.linalg.det(rotation) > 0 else "is a reflection: turn one of its axes round"
 
 
 class Scene(Section):

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tacgen.collection.grid import PlannedGrasp, grown_plan
-from tacgen.collection.pipeline import GraspPipeline, dataset_spec, frame_times_s, tactile_pad
+from tacgen.collection.pipeline import GraspPipeline, dataset_spec, planned_times_s, tactile_pad
 from tacgen.collection.recipe import Recipe, load_recipe
 from tacgen.core.errors import SensorError, require_extra
 from tacgen.core.files import disk_errors
@@ -181,7 +181,7 @@ def describe(recipe: Recipe, out: Path) -> dict[str, Any]:
         "out": str(out),
         "objects": [entry.object_name for entry in recipe.objects],
         "grasps": len(plan.grasps),
-        "frames_a_grasp": len(frame_times_s(recipe)),
+        "frames_a_grasp": len(planned_times_s(recipe)),
         "shards": n_shards,
         "shards_done": sum(folder.is_done(shard) for shard in range(n_shards)),
     }

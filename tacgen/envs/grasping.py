@@ -18,7 +18,7 @@ from tacgen.collection.recipe import Recipe
 from tacgen.core.errors import LearningError
 from tacgen.core.records import LABEL_SUCCESS
 from tacgen.core.types import FloatArray
-from tacgen.envs.world import GraspWorld, Touch, grasp_values
+from tacgen.envs.grasp_world import GraspWorld, Touch, grasp_values
 
 Observation = dict[str, Any]
 Info = dict[str, Any]

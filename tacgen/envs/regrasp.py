@@ -23,7 +23,7 @@ from scipy.special import logit, softmax
 
 from tacgen.collection.grid import PlannedGrasp, plan_recipe, rng_of
 from tacgen.collection.inputs import recipe_inputs
-from tacgen.collection.pipeline import GraspPipeline, frame_times_s
+from tacgen.collection.pipeline import GraspPipeline, planned_times_s
 from tacgen.collection.recipe import Recipe
 from tacgen.core.errors import LearningError
 from tacgen.core.files import (
@@ -39,8 +39,7 @@ from tacgen.core.processes import Report, run_tasks
 from tacgen.core.progress import LOG, print_status
 from tacgen.core.records import LABEL_SUCCESS, GraspTrace
 from tacgen.dataset.reader import ROUNDING_S, TIME_DIGITS
-from tacgen.dataset.samples import PadSample
-from tacgen.dataset.samples import frame_times_s as frame_times_of
+from tacgen.dataset.samples import PadSample, frame_times_s
 from tacgen.learning.inputs import ARRAYS, InputSpec
 from tacgen.learning.predictor import Predictor
 from tacgen.learning.run_folder import RunFolder
@@ -473,7 +472,7 @@ def _checked_pad(run: Path, recipe: Recipe) -> str:
         "shadows": recipe.optics.shadows,
     }
     if trained.model.kind == "sequence":
-        now["time_s"] = np.round(frame_times_s(recipe), TIME_DIGITS).tolist()
+        now["time_s"] = np.round(planned_times_s(recipe), TIME_DIGITS).tolist()
         now["until"] = "lift" if frames.until == "lift" else "outcome"
     other = [
         name.removesuffix("_sha256")
@@ -592,7 +591,7 @@ def look_at(
     recipe = pipeline.recipe
     grasp = pipeline.start(replace(planned, seed=seed), attempt).lift()
     pads, trace = pipeline.pad_samples(grasp, attempt), grasp.trace
-    frames = list(range(len(frame_times_s(recipe))))
+    frames = list(range(len(planned_times_s(recipe))))
     if spec.shows_until == "grasp":
         frames = [trace.grasp_frame]
     elif spec.shows_until == "lift" and trace.status == "executed":
@@ -615,8 +614,8 @@ def _try(look: Look, recipe: Recipe, predictor: Predictor) -> Tried:
 
 def _times_s(trace: GraspTrace, recipe: Recipe) -> NDArray[np.float64]:
     last_s = trace.lift_start_time_s if recipe.frames.until == "lift" else float("nan")
-    planned_s = np.array(frame_times_s(recipe))
-    return frame_times_of(planned_s, trace.grasp_frame, trace.grasp_time_s, last_s)
+    planned_s = np.array(planned_times_s(recipe))
+    return frame_times_s(planned_s, trace.grasp_frame, trace.grasp_time_s, last_s)
 
 
 def look_rise_mm(trace: GraspTrace, recipe: Recipe, frame: int) -> float:

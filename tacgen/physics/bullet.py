@@ -24,7 +24,7 @@ SAME_SPEED = 1e-9
 """Commands this close are one: a float's rounding along the lift's constant part."""
 
 
-class Engine(World):
+class BulletEngine(World):
     """PyBullet with one kind of robot."""
 
     def __init__(self, robot: RobotSpec) -> None:

@@ -73,13 +73,13 @@ PatchOf = Callable[[ContactFrame], ContactPatch]
 def _pybullet(robot: RobotSpec) -> Engine:
     from tacgen.physics import bullet  # an engine that is not used need not be installed
 
-    return bullet.Engine(robot)
+    return bullet.BulletEngine(robot)
 
 
 def _mujoco(robot: RobotSpec) -> Engine:
     from tacgen.physics import mujoco  # as above
 
-    return mujoco.Engine(robot)
+    return mujoco.MujocoEngine(robot)
 
 
 _ENGINES: dict[EngineName, Callable[[RobotSpec], Engine]] = {

@@ -11,9 +11,9 @@ import pytest
 import tacgen
 from tacgen.collection.recipe import Recipe
 from tacgen.core.errors import LearningError, RecipeError
-from tacgen.envs.world import grasp_values
+from tacgen.envs.grasp_world import grasp_values
 from tacgen.sensor.description import load_sensor
-from tests.envs.test_world import engine, small_recipe  # noqa: F401
+from tests.envs.test_grasp_world import engine, small_recipe  # noqa: F401
 
 gymnasium = pytest.importorskip("gymnasium")
 
@@ -333,7 +333,7 @@ def test_without_gymnasium_it_says_what_to_install():
         "import sys; sys.modules['gymnasium'] = None; import importlib.util as u; "
         "found = u.find_spec; "
         "u.find_spec = lambda n, *a: None if n == 'gymnasium' else found(n, *a); "
-        "import tacgen.envs.world; from tacgen.envs import GraspEnv"
+        "import tacgen.envs.grasp_world; from tacgen.envs import GraspEnv"
     )
     tried = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=False

@@ -8,13 +8,13 @@ import pandas as pd
 import pytest
 
 from tacgen.collection.grid import plan_recipe
-from tacgen.collection.pipeline import GraspPipeline, frame_times_s
+from tacgen.collection.pipeline import GraspPipeline, planned_times_s
 from tacgen.collection.recipe import load_recipe
 from tacgen.collection.run import collect
 from tacgen.core.records import ContactFrame
 from tacgen.dataset import Dataset
 from tacgen.dataset.export import export_dataset
-from tacgen.dataset.samples import frame_times_s as times_of
+from tacgen.dataset.samples import frame_times_s
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings
 from tacgen.physics.recorder import frame_end_steps, frame_of_moment
 from tests.physics.conftest import block, grasp
@@ -61,7 +61,7 @@ def test_every_mode_has_the_same_frame_at_the_moment_of_grasp(engine, force_n, l
         # The gel is at rest in the first, and every other is at its own time.
         assert (times_s[0], frames[0].force_normal_n) == (0.0, 0.0)
         planned_s = np.linspace(0.0, request.span_s, request.count)
-        stored_s = times_of(planned_s, trace.grasp_frame, trace.grasp_time_s)
+        stored_s = frame_times_s(planned_s, trace.grasp_frame, trace.grasp_time_s)
         np.testing.assert_allclose(times_s, stored_s, atol=settings.time_step_s)
 
 
@@ -103,7 +103,7 @@ def test_frames_until_the_lift_show_nothing_of_it_and_change_nothing(engine):
             moments = trace.grasp_frame, trace.grasp_time_s, trace.lift_start_time_s
             times_s = [frame.time_s for frame in frames]
             np.testing.assert_allclose(
-                times_s, times_of(planned_s, *moments), atol=settings.time_step_s
+                times_s, frame_times_s(planned_s, *moments), atol=settings.time_step_s
             )
 
 
@@ -146,11 +146,11 @@ def test_a_sequence_of_one_frame_states_its_time(tmp_path, monkeypatch):
     with GraspPipeline(recipe) as pipeline:
         trace = pipeline.simulate(planned).trace
         sample = pipeline.sample(planned)
-    times_s = np.array(frame_times_s(recipe))
+    times_s = np.array(planned_times_s(recipe))
     assert times_s == pytest.approx([frame.time_s for frame in trace.frames["left"]])
     assert sample.grasp_time_s < times_s[0]
     np.testing.assert_array_equal(
-        times_of(times_s, sample.grasp_frame, sample.grasp_time_s), times_s
+        frame_times_s(times_s, sample.grasp_frame, sample.grasp_time_s), times_s
     )
 
 

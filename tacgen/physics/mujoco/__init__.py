@@ -1,5 +1,5 @@
 """MuJoCo as an engine of grasps."""
 
-from tacgen.physics.mujoco.simulation import Engine
+from tacgen.physics.mujoco.simulation import MujocoEngine
 
-__all__ = ["Engine"]
+__all__ = ["MujocoEngine"]

@@ -37,7 +37,7 @@ RESPONSE_STEPS = 2.4  # time constant of a contact; below two it is unstable
 LARGEST_IMPEDANCE = 0.9999  # Source: MuJoCo's documentation, solver parameters
 
 
-class Engine:
+class MujocoEngine:
     """MuJoCo with one kind of robot; an arm's motors follow their path, whatever they carry."""
 
     def __init__(self, robot: RobotSpec) -> None:
@@ -53,7 +53,7 @@ class Engine:
         self._model: Any = None
         self._data: Any = None
 
-    def __enter__(self) -> "Engine":
+    def __enter__(self) -> "MujocoEngine":
         return self
 
     def __exit__(self, *raised: object) -> None:

@@ -9,7 +9,7 @@ from tacgen.collection.grid import AXES, plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe
 from tacgen.core.errors import PhysicsError, RecipeError
-from tacgen.envs.world import GraspWorld, grasp_values
+from tacgen.envs.grasp_world import GraspWorld, grasp_values
 
 RANDOM = {
     "friction_relative": 0.2,
