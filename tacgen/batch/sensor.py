@@ -87,7 +87,7 @@ class BatchSensor:
     >>> ball = batch.add_mesh(trimesh.creation.icosphere(subdivisions=4, radius=4.0))
     >>> out = batch.render_meshes([ball, ball], np.stack([np.eye(4)] * 2), [1.0, 3.0])
     >>> out.rgb.shape, bool(out.indentation_mm[0] < out.indentation_mm[1])
-    ((2, 320, 240, 3), True)
+    ((2, 640, 480, 3), True)
     """
 
     def __init__(
