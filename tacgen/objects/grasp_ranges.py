@@ -195,10 +195,16 @@ def suggest_yaw(surface: Mesh, heights_mm: Sequence[float]) -> float:
 
 
 def _patch_mm2(surface: Mesh, azimuth_deg: float, z_mm: float) -> float:
-    """Area within the gel's reach of a pad at that height; 0 if the object is too wide."""
+    """Area within the gel's reach of a pad at that height; 0 if the object is too wide.
+
+    It is between the fingers by the middle of its bounding box, wherever its body is.
+    """
     depth = _pad_view(surface, azimuth_deg, 0.0, z_mm)
     nearest = float(depth.max())
-    if not np.isfinite(nearest) or nearest > _widest_mm() / 2:
+    azimuth_rad = math.radians(azimuth_deg)
+    along = surface.vertices_mm[:, :2] @ (math.cos(azimuth_rad), math.sin(azimuth_rad))
+    middle = float(along.max() + along.min()) / 2
+    if not np.isfinite(nearest) or nearest - middle > _widest_mm() / 2:
         return 0.0
     return float((depth >= nearest - GEL_REACH_MM).sum() * RASTER_MM**2)
 

@@ -67,7 +67,8 @@ def test_a_mug_is_not_turned_for_its_handle():
 def test_a_mug_whose_handle_lies_under_a_finger_is_turned():
     """118 mm with its handle do not fit between the fingers, which would meet its rim alone."""
     across = trimesh.transformations.rotation_matrix(np.pi / 2, [0, 0, 1])
-    yaw_rad, _, notes = _turned(surface_of(mug().apply_transform(across)), None)
+    yaw_rad, turned, notes = _turned(surface_of(mug().apply_transform(across)), None)
+    assert np.abs(turned.vertices_mm[:, 0]).max() < 55.0  # the fingers open 110 mm
     assert np.degrees(abs(yaw_rad)) > 25.0  # a finger is 20 mm wide, and beside the handle
     assert "turned by" in notes[0]
 
