@@ -19,9 +19,9 @@ from tacgen.calibrate.lookup.score import TableScore, score_table
 from tacgen.calibrate.lookup.table_fit import Calibration, calibrate, fit_lookup
 from tacgen.contact.gel import gel_map_mm, pixel_centers_mm
 from tacgen.contact.indentation import contact_depth
-from tacgen.core.arrays import FloatArray
 from tacgen.core.records import Sensor
 from tacgen.core.resources import packaged
+from tacgen.core.types import FloatArray
 from tacgen.optics.deform import deform
 from tacgen.optics.image_models import Response, nearest_quadratic
 from tacgen.optics.table import LookupTable, save_table

@@ -2,7 +2,7 @@ from .batch.sensor import BatchSensor as BatchSensor
 from .collection.recipe import load_recipe as load_recipe
 from .collection.run import collect as collect
 from .contact.law import load_law as load_law
-from .core.version import __version__ as __version__
+from .core.resources import __version__ as __version__
 from .dataset.reader import Dataset as Dataset
 from .learning.predictor import Predictor as Predictor
 from .optics.table import load_table as load_table

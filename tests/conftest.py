@@ -5,8 +5,8 @@ from pathlib import Path
 import hypothesis
 import pytest
 
-from tacgen.core.optional_dependencies import missing_extra
-from tacgen.core.workers import start_early
+from tacgen.core.errors import missing_extra
+from tacgen.core.processes import start_early
 
 MEASURED_DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 hypothesis.settings.register_profile("repeatable", derandomize=True)

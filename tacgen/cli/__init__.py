@@ -32,8 +32,8 @@ from tacgen.cli import (  # noqa: F401
     sensors,
 )
 from tacgen.cli.common import app
-from tacgen.core.disk import DiskFile, disk_message
 from tacgen.core.errors import Interrupted, TacgenError
+from tacgen.core.files import DiskFile, disk_message
 from tacgen.core.progress import LOG
 
 RETRY_S = 0.01  # after which an interruption that came amid C code is tried again

@@ -13,9 +13,9 @@ from typer import Argument, Option
 from typer.core import TyperGroup
 
 from tacgen.core.errors import did_you_mean, readable
+from tacgen.core.processes import available_cores
 from tacgen.core.progress import LOG, is_quiet
 from tacgen.core.resources import object_folders, packaged, sensor_files
-from tacgen.core.workers import available_cores
 
 CALIBRATION = "Calibration and diagnosis"
 DATASETS = "Datasets"
@@ -69,7 +69,7 @@ class _InOrderOfWork(TyperGroup):
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from tacgen.core.version import __version__
+        from tacgen.core.resources import __version__
 
         typer.echo(__version__)
         raise typer.Exit

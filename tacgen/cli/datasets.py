@@ -32,7 +32,7 @@ def collect(
     json_output: common.JsonFlag = False,
 ) -> None:
     """Simulate the grasps of a recipe and write images, labels and forces as a dataset."""
-    from tacgen.core.workers import start_early
+    from tacgen.core.processes import start_early
 
     if not dry_run:
         start_early("tacgen.collection.run")

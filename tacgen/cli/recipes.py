@@ -43,7 +43,7 @@ def recipe_kinds() -> dict[str, tuple[type[BaseModel], Callable[[str], BaseModel
 def recipe_show(recipe: common.RecipeArgument, json_output: common.JsonFlag = False) -> None:
     """Print a recipe with every setting: what it extends and all defaults filled in."""
     from tacgen.core.resources import find_recipe
-    from tacgen.core.yaml_source import kind_of, read_yaml
+    from tacgen.core.schema import kind_of, read_yaml
 
     path = find_recipe(recipe)
     kinds = {model.__name__: (name, load) for name, (model, load) in recipe_kinds().items()}

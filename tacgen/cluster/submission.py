@@ -26,9 +26,8 @@ from tacgen.cluster.scheduler import site_array_limit
 from tacgen.cluster.states import ALIVE, DatasetStatus, TaskState, job_states, status
 from tacgen.collection.recipe import Cluster, Recipe
 from tacgen.collection.run import collect, prepare
-from tacgen.core.errors import ClusterError, TacgenError
-from tacgen.core.lock import alone
-from tacgen.core.optional_dependencies import missing_extra
+from tacgen.core.errors import ClusterError, TacgenError, missing_extra
+from tacgen.core.files import alone
 from tacgen.core.progress import print_status
 
 EXECUTORS = ("local", "slurm")

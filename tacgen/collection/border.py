@@ -17,8 +17,8 @@ import pandas as pd
 
 from tacgen.collection.grid import AXES, draw, grown_plan, whole_grid
 from tacgen.collection.recipe import Recipe
-from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 from tacgen.core.compiled import njit
+from tacgen.core.types import BoolArray, FloatArray, IntArray
 from tacgen.dataset import Dataset
 
 NOISE = 0.01

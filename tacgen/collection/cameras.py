@@ -18,8 +18,8 @@ from tacgen.collection.scene import (
     pose_matrix,
     unit_box,
 )
-from tacgen.core.arrays import FloatArray
 from tacgen.core.records import Camera, GraspObject, GraspTrace
+from tacgen.core.types import FloatArray
 from tacgen.dataset import CameraSample
 from tacgen.dataset.schema import SEGMENTS
 from tacgen.objects.pinhole import Solid, pinhole_view

@@ -13,10 +13,9 @@ import numpy as np
 import pandas as pd
 
 from tacgen.collection.recipe import Grid, ObjectEntry, Recipe
-from tacgen.core.columns import unit_problems
 from tacgen.core.errors import RecipeError
 from tacgen.core.progress import print_once
-from tacgen.core.records import GraspConfig
+from tacgen.core.records import GraspConfig, unit_problems
 from tacgen.objects.description import read_description
 from tacgen.physics.settings import force_problem
 

@@ -14,8 +14,8 @@ from tacgen.collection.inputs import recipe_inputs
 from tacgen.collection.recipe import ObjectEntry, Recipe
 from tacgen.core.errors import DatasetError
 from tacgen.core.files import append_json_lines, read_json_lines, sha256_of_content
+from tacgen.core.processes import Report, run_tasks
 from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, Mesh, frozen_array
-from tacgen.core.workers import Report, run_tasks
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.objects import load_object
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp

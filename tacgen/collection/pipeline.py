@@ -19,13 +19,12 @@ from tacgen.collection.randomize import Variation, draw_variation, vary_config
 from tacgen.collection.recipe import Recipe
 from tacgen.collection.scene import PICTURE_PX, grasp_picture
 from tacgen.contact.law import ContactLaw
-from tacgen.core.arrays import FloatArray
-from tacgen.core.errors import SensorError, TableError
-from tacgen.core.optional_dependencies import require_extra
+from tacgen.core.errors import SensorError, TableError, require_extra
 from tacgen.core.records import ContactFrame, GraspConfig, GraspObject, GraspTrace
-from tacgen.core.visible import visible_share
+from tacgen.core.types import FloatArray
 from tacgen.dataset import CameraSample, DatasetSpec, GraspSample, PadSample
 from tacgen.optics import load_table
+from tacgen.optics.visible import visible_share
 from tacgen.physics import FrameRequest, GraspSimulator
 from tacgen.physics.grasp import StartedGrasp, not_executed, start_grasp
 from tacgen.sensor.description import load_sensor

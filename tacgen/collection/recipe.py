@@ -23,13 +23,10 @@ from pydantic import (
     model_validator,
 )
 
-from tacgen.core.columns import unit_problems
-from tacgen.core.config import Axis, Located, Section, as_named
-from tacgen.core.errors import ObjectError, PhysicsError, RecipeError, TacgenError
+from tacgen.core.errors import ObjectError, PhysicsError, RecipeError, TacgenError, missing_extra
 from tacgen.core.files import sha256_of_content
-from tacgen.core.optional_dependencies import missing_extra
 from tacgen.core.progress import print_once
-from tacgen.core.records import Camera, frozen_array
+from tacgen.core.records import Camera, frozen_array, unit_problems
 from tacgen.core.resources import (
     contact_law_path,
     find_object_folder,
@@ -37,8 +34,17 @@ from tacgen.core.resources import (
     sensor_path,
     unknown_object_hint,
 )
-from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N, k_n_doubt
-from tacgen.core.yaml_source import KeyPath, YamlSource, load_checked, problem_text
+from tacgen.core.schema import (
+    Axis,
+    KeyPath,
+    Located,
+    Section,
+    YamlSource,
+    as_named,
+    load_checked,
+    problem_text,
+)
+from tacgen.core.types import PUBLISHED_K_N_MM3_PER_N, k_n_doubt
 from tacgen.dataset.manifest import MAX_SHARD_GRASPS
 from tacgen.dataset.schema import MAX_CAMERAS, MAX_CELLS
 from tacgen.physics.robots import RobotSpec, gripper_file, load_robot
@@ -193,7 +199,7 @@ class Contact(Located):
 def _device_of(choice: str) -> str:
     """The device that ``choice`` means here: ``auto`` is a GPU, or else none, which it says."""
     if choice != "auto":
-        return choice
+        return "none" if choice == "cpu" else choice
     problem = missing_extra("batch", "it needs")
     if not problem:
         import warp as wp
@@ -219,8 +225,8 @@ class Optics(Section):
     """Add the camera's noise; ``at_load``: only when images are read, for smaller files."""
     device: Annotated[Literal["none", "auto", "cpu", "cuda"], AfterValidator(_device_of)] = "none"
     """Draw the images of a grasp at once, in Warp (the extra ``batch``), on a GPU (``cuda``), with
-    ``auto`` on a GPU where there is one, or, to try it, on the ``cpu``, which is slower than
-    ``none``. Grey levels differ by up to 1 from device to device."""
+    ``auto`` on a GPU where there is one; ``none`` and ``cpu`` draw them one by one on the CPU. Grey
+    levels differ by up to 1 between the two."""
 
 
 class Split(Section):

@@ -13,9 +13,8 @@ from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import load_recipe
 from tacgen.collection.scene import finger_boxes, pad_distances_mm, pose_matrix
 from tacgen.contact.gel import gel_map_mm, pixel_centers_mm
-from tacgen.core.errors import DatasetError
+from tacgen.core.errors import DatasetError, require_extra
 from tacgen.core.files import atomic_path
-from tacgen.core.optional_dependencies import require_extra
 from tacgen.core.records import PADS, GraspConfig, GraspTrace
 from tacgen.dataset import DatasetFolder, GraspSample
 from tacgen.dataset.reader import Dataset

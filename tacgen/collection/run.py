@@ -11,12 +11,11 @@ from typing import Any
 from tacgen.collection.grid import PlannedGrasp, grown_plan
 from tacgen.collection.pipeline import GraspPipeline, dataset_spec, frame_times_s, tactile_pad
 from tacgen.collection.recipe import Recipe, load_recipe
-from tacgen.core.disk import disk_errors
-from tacgen.core.errors import SensorError
-from tacgen.core.optional_dependencies import require_extra
+from tacgen.core.errors import SensorError, require_extra
+from tacgen.core.files import disk_errors
+from tacgen.core.processes import Event, Report, run_tasks
 from tacgen.core.progress import print_status, progress_counter
 from tacgen.core.records import LABEL_NOT_EXECUTED
-from tacgen.core.workers import Event, Report, run_tasks
 from tacgen.dataset import DatasetFolder, DatasetSpec, GraspSample
 from tacgen.dataset.gallery import Thumbnails, shown_grasps, thumbnails, write_gallery
 from tacgen.dataset.summary import write_card

@@ -3,9 +3,9 @@
 import numpy as np
 
 from tacgen.contact.raster import Float64
-from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import ContactError
 from tacgen.core.records import Sensor
+from tacgen.core.types import FloatArray
 
 GEL_MARGIN_MM = 5.0
 """Of gel around the window, where a sensor's file does not say: between the 2.5 mm around that of

@@ -25,14 +25,12 @@ from tacgen.contact.effects import (
     find_effect,
 )
 from tacgen.contact.effects.history import Memory, Reading
-from tacgen.core.arrays import FloatArray
-from tacgen.core.config import Section
 from tacgen.core.errors import ContactError, RecipeError
 from tacgen.core.files import write_text
 from tacgen.core.records import Estimate
-from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N, k_n_doubt
-from tacgen.core.version import newer_explains
-from tacgen.core.yaml_source import YamlSource, read_yaml, validate
+from tacgen.core.resources import newer_explains
+from tacgen.core.schema import Section, YamlSource, read_yaml, validate
+from tacgen.core.types import PUBLISHED_K_N_MM3_PER_N, FloatArray, k_n_doubt
 
 LawName = Literal["volume_linear", "linear_depth"]
 LAWS: tuple[LawName, ...] = ("volume_linear", "linear_depth")

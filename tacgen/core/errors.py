@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
+from importlib.util import find_spec
 
 MOST_LETTERS, MOST_LINES = 1500, 200  # of a message; what is cut out comes from a file, as a rule
 
@@ -108,3 +109,30 @@ class LearningError(TacgenError):
 
 class ClusterError(TacgenError):
     """Jobs that cannot be handed to a scheduler, or whose records cannot be read."""
+
+
+EXTRAS = {
+    "learn": ("torch", "transformers", "safetensors", "sklearn", "tensorboard"),
+    "parquet": ("pyarrow",),
+    "cluster": ("submitit",),
+    "view": ("rerun",),
+    "batch": ("warp",),
+    "gym": ("gymnasium",),
+}
+
+
+def missing_extra(extra: str, purpose: str) -> str:
+    """What ``purpose`` lacks of ``extra`` and how to install it; empty if nothing is missing."""
+    missing = [name for name in EXTRAS[extra] if find_spec(name) is None]
+    if not missing:
+        return ""
+    return (
+        f"{purpose} {', '.join(missing)}, not installed here; install it with "
+        f"`pip install 'tacgen[{extra}]'` (in a checkout: `make setup`)"
+    )
+
+
+def require_extra(extra: str, purpose: str, error: type[TacgenError]) -> None:
+    """Raise ``error`` unless all packages of ``extra`` are installed."""
+    if problem := missing_extra(extra, purpose):
+        raise error(problem)

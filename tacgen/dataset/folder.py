@@ -13,18 +13,20 @@ from typing import Any
 
 import yaml
 
-from tacgen.core.disk import disk_errors
 from tacgen.core.errors import DatasetError, RecipeError
 from tacgen.core.files import (
+    alone,
     atomic_path,
+    disk_errors,
+    holder_of,
+    locked,
     read_small_text,
     refuse_foreign,
     sha256_of_content,
     write_text,
 )
-from tacgen.core.lock import alone, holder_of, locked
-from tacgen.core.version import __version__, newer_problem
-from tacgen.core.yaml_source import read_yaml
+from tacgen.core.resources import __version__, newer_problem
+from tacgen.core.schema import read_yaml
 from tacgen.dataset.check import content_problems
 from tacgen.dataset.inputs import GRID, changed_roles
 from tacgen.dataset.manifest import (

@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from tacgen.core.errors import RecipeError
 from tacgen.core.images import evenly, jpeg_uri, no_wider, side_by_side
 from tacgen.core.records import PADS
-from tacgen.core.visible import VISIBLE
 from tacgen.dataset import overlays
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import DatasetSpec, GraspSample, frame_times_s, rgb_at_load
 from tacgen.dataset.schema import EDGES, FLAG_WORDS
 from tacgen.dataset.summary import replace_page, summarize
+from tacgen.optics.visible import VISIBLE
 from tacgen.report.page import templates
 
 MAX_PAGE_BYTES = 15_000_000  # what a browser opens at once

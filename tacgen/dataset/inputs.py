@@ -24,7 +24,7 @@ from typing import Any
 import h5py
 
 from tacgen.core.files import sha256_of_content
-from tacgen.core.version import __version__
+from tacgen.core.resources import __version__
 
 LIBRARIES = (
     *("numpy", "scipy", "numba", "opencv-python-headless", "manifold3d", "trimesh"),

@@ -26,7 +26,7 @@ from pydantic.dataclasses import dataclass
 
 from tacgen.core.errors import DatasetError
 from tacgen.core.files import read_small_text, write_text
-from tacgen.core.version import newer_problem
+from tacgen.core.resources import newer_problem
 
 MAX_LINE_BYTES = 1 << 20  # a line has some kilobytes
 MAX_SHARDS = 1_000_000  # of a dataset: with more, no file system lists them

@@ -8,8 +8,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.images import side_by_side
+from tacgen.core.types import FloatArray
 
 LEAST_SHARE = 0.01  # of the largest force of a cell, below which nothing is drawn
 HEAD_SHARE, MOST_HEAD_PX = 0.35, 6.0  # of an arrow: its head's share of the length, and the longest

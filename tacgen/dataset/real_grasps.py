@@ -11,11 +11,17 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 
-from tacgen.core.columns import GRASPS, csv_problem, similar_columns, unit_problems
 from tacgen.core.errors import DatasetError, did_you_mean
 from tacgen.core.files import read_small_text
-from tacgen.core.frame_order import in_time_order
-from tacgen.core.records import FailureMode, GraspConfig
+from tacgen.core.images import in_time_order
+from tacgen.core.records import (
+    GRASPS,
+    FailureMode,
+    GraspConfig,
+    csv_problem,
+    similar_columns,
+    unit_problems,
+)
 from tacgen.core.resources import unknown_object_hint
 from tacgen.core.safe_io import IMAGE_SUFFIXES
 

@@ -152,7 +152,7 @@ def rgb_at_load(
     """
     if not noise_grey or not rgb.any():
         return rgb
-    from tacgen.core.noise import with_camera_noise
+    from tacgen.optics.noise import with_camera_noise
 
     return with_camera_noise(rgb, noise_grey, seed, PADS.index(pad), frame)
 

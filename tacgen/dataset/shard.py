@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from tacgen.core.errors import DatasetError
 from tacgen.core.files import require_readable
 from tacgen.core.records import PADS, Camera, Until
-from tacgen.core.version import newer_problem
+from tacgen.core.resources import newer_problem
 from tacgen.dataset.compression import ALLOWED_FILTERS, ends_of, is_sound
 from tacgen.dataset.schema import (
     CAMERAS,

@@ -14,13 +14,13 @@ import numpy as np
 from tacgen.core.errors import DatasetError
 from tacgen.core.files import write_text
 from tacgen.core.progress import print_status
-from tacgen.core.visible import VISIBLE
 from tacgen.dataset.check import OUTCOME, flags_at_moment
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.manifest import ShardLine, total
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.schema import FLAG_WORDS, SEGMENTS, VALIDITY
 from tacgen.dataset.shard import broken_as_error, open_shard, read_image
+from tacgen.optics.visible import VISIBLE
 from tacgen.report.page import templates
 
 

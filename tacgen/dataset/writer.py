@@ -8,9 +8,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.disk import DiskFile
-from tacgen.core.files import sha256_of
-from tacgen.core.version import __version__
+from tacgen.core.files import DiskFile, sha256_of
+from tacgen.core.resources import __version__
 from tacgen.dataset.check import GraspFacts, tally, validity
 from tacgen.dataset.compression import storage_of, write_images
 from tacgen.dataset.inputs import library_versions

@@ -7,8 +7,7 @@ Importing it registers ``tacgen/Grasp-v0`` and ``tacgen/Regrasp-v0`` where Gymna
 from importlib import import_module
 from typing import Any
 
-from tacgen.core.errors import LearningError
-from tacgen.core.optional_dependencies import missing_extra, require_extra
+from tacgen.core.errors import LearningError, missing_extra, require_extra
 
 __all__ = ["GraspEnv", "Normalized", "RegraspEnv"]
 _IDS = {"tacgen/Grasp-v0": ("GraspEnv", 2), "tacgen/Regrasp-v0": ("RegraspEnv", 100)}

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from tacgen.collection.grid import AXES, PlannedGrasp
 from tacgen.collection.recipe import Recipe
-from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import LearningError
 from tacgen.core.records import LABEL_SUCCESS
+from tacgen.core.types import FloatArray
 from tacgen.envs.world import GraspWorld, Touch, grasp_values
 
 Observation = dict[str, Any]

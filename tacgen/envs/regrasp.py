@@ -27,6 +27,7 @@ from tacgen.collection.pipeline import GraspPipeline, frame_times_s
 from tacgen.collection.recipe import Recipe
 from tacgen.core.errors import LearningError
 from tacgen.core.files import (
+    alone,
     append_json_lines,
     read_json_lines,
     refuse_foreign,
@@ -34,10 +35,9 @@ from tacgen.core.files import (
     sha256_of_content,
     write_text,
 )
-from tacgen.core.lock import alone
+from tacgen.core.processes import Report, run_tasks
 from tacgen.core.progress import LOG, print_status
 from tacgen.core.records import LABEL_SUCCESS, GraspTrace
-from tacgen.core.workers import Report, run_tasks
 from tacgen.dataset.reader import ROUNDING_S, TIME_DIGITS
 from tacgen.dataset.samples import PadSample
 from tacgen.dataset.samples import frame_times_s as frame_times_of

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from tacgen.collection.grid import AXES, PlannedGrasp, plan_recipe
 from tacgen.collection.pipeline import GraspPipeline, HeldGrasp, SimulatedGrasp
 from tacgen.collection.recipe import Recipe, load_recipe
-from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import RecipeError, require_known
 from tacgen.core.records import GraspConfig, GraspTrace
+from tacgen.core.types import FloatArray
 from tacgen.dataset import CameraSample, PadSample
 
 OBJECTS_KEPT = 32  # some 5 MB each; loading one takes as long as a grasp

@@ -1,7 +1,6 @@
 """Grasp-stability networks: trained on simulated grasps, tested on those and real ones."""
 
-from tacgen.core.errors import LearningError
-from tacgen.core.optional_dependencies import require_extra
+from tacgen.core.errors import LearningError, require_extra
 
 
 def require_learning_extra() -> None:

@@ -13,10 +13,9 @@ from pydantic.dataclasses import dataclass
 from safetensors import safe_open
 from safetensors.torch import save
 
-from tacgen.core.disk import DiskFile
 from tacgen.core.errors import LearningError
-from tacgen.core.files import atomic_path, require_readable
-from tacgen.core.version import __version__
+from tacgen.core.files import DiskFile, atomic_path, require_readable
+from tacgen.core.resources import __version__
 from tacgen.learning.backbone import read_tensors
 from tacgen.learning.inputs import InputSpec
 from tacgen.learning.networks import StabilityNet, build_network

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import logit
 
 from tacgen.core.errors import LearningError
-from tacgen.core.frame_order import in_time_order
+from tacgen.core.images import in_time_order
 from tacgen.core.progress import print_status
 from tacgen.core.safe_io import IMAGE_SUFFIXES, read_rgb
 from tacgen.learning.checkpoint import load_model

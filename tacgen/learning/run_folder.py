@@ -9,11 +9,16 @@ from typing import Any, Literal
 import yaml
 from pydantic import BaseModel, Field, ValidationError
 
-from tacgen.core.disk import disk_message
 from tacgen.core.errors import LearningError
-from tacgen.core.files import read_small_text, refuse_foreign, refuse_other_page, write_text
-from tacgen.core.lock import alone
-from tacgen.core.version import newer_problem
+from tacgen.core.files import (
+    alone,
+    disk_message,
+    read_small_text,
+    refuse_foreign,
+    refuse_other_page,
+    write_text,
+)
+from tacgen.core.resources import newer_problem
 from tacgen.dataset.folder import differences
 from tacgen.learning.training_recipe import TrainRecipe
 

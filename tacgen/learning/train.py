@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from tacgen.core.files import write_text
+from tacgen.core.processes import map_in_processes
 from tacgen.core.progress import print_status
 from tacgen.core.records import Until
-from tacgen.core.version import __version__, versions
-from tacgen.core.workers import map_in_processes
+from tacgen.core.resources import __version__, versions
 from tacgen.dataset.real_grasps import FRAME_UNKNOWN
 from tacgen.learning.backbone import NO_WEIGHTS
 from tacgen.learning.checkpoint import load_model

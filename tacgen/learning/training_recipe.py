@@ -14,10 +14,9 @@ from pydantic import (
     PositiveInt,
 )
 
-from tacgen.core.config import Section
 from tacgen.core.files import sha256_of_content
 from tacgen.core.records import PadName, Until
-from tacgen.core.yaml_source import YamlSource, load_checked
+from tacgen.core.schema import Section, YamlSource, load_checked
 
 MIN_INPUT_PX, MAX_INPUT_PX = 32, 2048
 """ResNet-18 halves an image five times; no tactile camera has more pixels."""

@@ -7,8 +7,8 @@ import manifold3d
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.records import Mesh
+from tacgen.core.types import FloatArray
 from tacgen.objects.meshes import from_manifold, hull, to_manifold, volume_mm3
 
 MAX_PARTS = 24  # PyBullet's time a step grows with the parts

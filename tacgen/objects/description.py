@@ -14,9 +14,8 @@ from pydantic import (
     model_validator,
 )
 
-from tacgen.core.config import Axis, Section
 from tacgen.core.errors import ObjectError, TacgenError
-from tacgen.core.yaml_source import read_yaml, validate
+from tacgen.core.schema import Axis, Section, read_yaml, validate
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
 

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.compiled import njit
 from tacgen.core.records import Mesh, frozen_array
+from tacgen.core.types import FloatArray
 
 SHEET_SHARE = 0.25
 """Of the surface that would be invented, from which on the faces are sheets: a flat one takes half,

@@ -11,9 +11,9 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import ObjectError
 from tacgen.core.records import Mesh, frozen_array
+from tacgen.core.types import FloatArray
 from tacgen.objects.healing import Healed, heal
 from tacgen.objects.load import MAX_FILE_BYTES
 from tacgen.objects.meshes import (

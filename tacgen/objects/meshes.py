@@ -7,8 +7,8 @@ import manifold3d
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.records import Mesh, frozen_array
+from tacgen.core.types import FloatArray
 
 VERTEX_DECIMALS = 6
 """Vertices are rounded to 1e-6 mm, so that the last bits of a sine do not reach the mesh."""

@@ -4,11 +4,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.records import ContactFrame, ContactPatch, Mesh
-from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N
-from tacgen.core.visible import VISIBLE, visible_share
+from tacgen.core.types import PUBLISHED_K_N_MM3_PER_N, FloatArray
 from tacgen.optics import load_table
+from tacgen.optics.visible import VISIBLE, visible_share
 from tacgen.physics.gripper import default_gripper
 from tacgen.physics.settings import PhysicsSettings
 from tacgen.sensor.description import load_sensor

@@ -7,9 +7,9 @@ from functools import partial
 
 import numpy as np
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PhysicsError
 from tacgen.core.records import GraspConfig, GraspObject
+from tacgen.core.types import FloatArray
 from tacgen.objects.grasp_ranges import FORCES_N, largest_grid
 from tacgen.objects.showing import is_shown_in, usual_patch
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp

@@ -10,7 +10,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from tacgen.core.errors import ObjectError
-from tacgen.core.units import M_PER_MM, MM_PER_M
+from tacgen.core.types import M_PER_MM, MM_PER_M
 
 MAX_BYTES = 4 << 20
 MAX_SHAPES = 1000  # of one URDF: an object has a few

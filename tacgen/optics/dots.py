@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 from tacgen.core.errors import PressError
+from tacgen.core.types import BoolArray, FloatArray, IntArray
 
 Image = NDArray[np.uint8]
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import binary_dilation, gaussian_filter, label
 
-from tacgen.core.arrays import BoolArray, FloatArray
+from tacgen.core.types import BoolArray, FloatArray
 
 ROBUST_PASSES = 8  # of reweighted least squares; later ones move the fit by < 0.05 grey levels
 COMPARED_PX = 80  # width of the pictures that the drift is fitted on: light changes slowly

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.compiled import njit
+from tacgen.core.types import FloatArray
 
 INK_TRANSMISSION = 0.25  # share of the light that a dot reflects
 

@@ -16,9 +16,9 @@ from scipy.fft import dctn, idctn
 from scipy.ndimage import binary_dilation, distance_transform_edt, gaussian_filter, label, maximum
 from scipy.spatial import cKDTree
 
-from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.core.compiled import njit
 from tacgen.core.errors import TableError
+from tacgen.core.types import BoolArray, FloatArray
 from tacgen.optics.drift import Drift, drift_of
 from tacgen.optics.same_view import SAME_VIEW, other_view
 from tacgen.optics.table import LookupTable

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import TableError
-from tacgen.core.noise import CameraNoise
+from tacgen.core.types import FloatArray
 from tacgen.optics import shade
 from tacgen.optics.effects import (
     OpticalEffect,
@@ -22,6 +21,7 @@ from tacgen.optics.effects import (
     with_cast_shadows,
 )
 from tacgen.optics.markers import draw_markers
+from tacgen.optics.noise import CameraNoise
 from tacgen.optics.smooth import Window, grown
 from tacgen.optics.table import Leds, LookupTable
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from tacgen.core.arrays import FloatArray
+from tacgen.core.types import FloatArray
 from tacgen.optics.drift import in_light_of
 
 MUCH_BETTER = 0.5  # of the difference as it is: what is proven, where lamps and contacts differ too

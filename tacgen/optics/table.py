@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, FiniteFloat, ValidationError
 
-from tacgen.core.config import Section
 from tacgen.core.errors import TableError
 from tacgen.core.files import atomic_path
 from tacgen.core.safe_io import check_archive
-from tacgen.core.yaml_source import MOST_PROBLEMS, problem_text
+from tacgen.core.schema import MOST_PROBLEMS, Section, problem_text
 from tacgen.optics.image_models import ContactLight as ContactLight
 from tacgen.optics.image_models import (
     ImageModel,

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.records import Sensor
+from tacgen.core.types import FloatArray
 
 KNEE = 0.9  # share of full scale at which the camera begins to saturate
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from tacgen.core.records import GraspConfig, GraspObject
-from tacgen.core.units import M_PER_MM, MM_PER_M
+from tacgen.core.types import M_PER_MM, MM_PER_M
 from tacgen.physics.engine import PALM, Engine, GripperTarget, Robot
 from tacgen.physics.gripper import GripperSpec
 from tacgen.physics.settings import PhysicsSettings

@@ -2,9 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.records import PADS, GraspObject, Mesh
-from tacgen.core.units import M_PER_MM
+from tacgen.core.types import M_PER_MM, FloatArray
 from tacgen.physics import engine
 from tacgen.physics.bodies import ObjectBody
 from tacgen.physics.engine import PALM, TABLE, ContactPoint, Link, Place, Touch, Vector

@@ -11,9 +11,8 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.records import PADS, ContactFrame, frozen_array
-from tacgen.core.units import MM_PER_M
+from tacgen.core.types import MM_PER_M, FloatArray
 from tacgen.physics.engine import TABLE, ContactPoint, Touch
 from tacgen.physics.frames import Pose, inverse, pose, rotation_of
 from tacgen.physics.gripper import Pad

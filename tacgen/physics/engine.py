@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol, TypeAlias
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.records import GraspObject, Mesh
+from tacgen.core.types import FloatArray
 from tacgen.physics.frames import Pose
 from tacgen.physics.settings import PhysicsSettings
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tacgen.core.arrays import FloatArray
+from tacgen.core.types import FloatArray
 
 Pose = FloatArray
 

@@ -8,7 +8,6 @@ from typing import get_args
 
 import numpy as np
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PhysicsError
 from tacgen.core.records import (
     LABEL_NOT_EXECUTED,
@@ -22,7 +21,7 @@ from tacgen.core.records import (
     Status,
     frozen_array,
 )
-from tacgen.core.units import M_PER_MM, MM_PER_M, PUBLISHED_K_N_MM3_PER_N
+from tacgen.core.types import M_PER_MM, MM_PER_M, PUBLISHED_K_N_MM3_PER_N, FloatArray
 from tacgen.physics import outcome
 from tacgen.physics.approach import approach, grasp_target
 from tacgen.physics.contacts import (

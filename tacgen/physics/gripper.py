@@ -8,13 +8,11 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, FiniteFloat, NonNegativeFloat, PositiveFloat, model_validator
 
-from tacgen.core.arrays import FloatArray
-from tacgen.core.config import Section
 from tacgen.core.errors import PhysicsError
 from tacgen.core.records import PADS
 from tacgen.core.resources import gripper_path
-from tacgen.core.units import M_PER_MM
-from tacgen.core.yaml_source import read_yaml, validate
+from tacgen.core.schema import Section, read_yaml, validate
+from tacgen.core.types import M_PER_MM, FloatArray
 from tacgen.physics.settings import MAX_FORCE_N
 
 PAD_MARGIN_MM = 1.0

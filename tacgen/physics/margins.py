@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.compiled import njit
 from tacgen.core.records import ContactPatch, SlipMargin, frozen_array
-from tacgen.core.units import MM_PER_M, PUBLISHED_K_N_MM3_PER_N, STANDARD_GRAVITY_M_S2
+from tacgen.core.types import MM_PER_M, PUBLISHED_K_N_MM3_PER_N, STANDARD_GRAVITY_M_S2, FloatArray
 from tacgen.physics.contacts import Contacts
 
 TorsionLimit = Callable[[float], float]

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.core.records import (
     LABEL_FAILURE,
     LABEL_SUCCESS,
@@ -15,7 +14,7 @@ from tacgen.core.records import (
     GraspObject,
     frozen_array,
 )
-from tacgen.core.units import MM_PER_M, STANDARD_GRAVITY_M_S2
+from tacgen.core.types import MM_PER_M, STANDARD_GRAVITY_M_S2, BoolArray, FloatArray
 from tacgen.physics.contacts import (
     Bodies,
     Placement,

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.records import GraspConfig, Mesh
+from tacgen.core.types import FloatArray
 from tacgen.physics.world import ball_of
 
 SLACK_MM = 1.0

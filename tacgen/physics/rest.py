@@ -5,8 +5,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.records import GraspObject
+from tacgen.core.types import FloatArray
 from tacgen.physics.world import ball_of
 
 TOUCH_MM = 1e-6  # of the lowest corner, within which others touch the table too: roundoff

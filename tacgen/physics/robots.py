@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PhysicsError, RecipeError
 from tacgen.core.resources import gripper_path
-from tacgen.core.units import M_PER_MM, MM_PER_M
+from tacgen.core.types import M_PER_MM, MM_PER_M, FloatArray
 from tacgen.physics import ur5e
 from tacgen.physics.engine import Fingers, GripperTarget, Joints, Link, Place, Robot, Vector
 from tacgen.physics.frames import Pose, inverse, pose, rotation_about_z

@@ -16,7 +16,7 @@ from pydantic.dataclasses import dataclass
 
 from tacgen.core.errors import PhysicsError
 from tacgen.core.records import PADS, PadName, Until
-from tacgen.core.units import STANDARD_GRAVITY_M_S2
+from tacgen.core.types import STANDARD_GRAVITY_M_S2
 from tacgen.physics.pybullet_import import load_bullet
 
 EngineName = Literal["pybullet", "mujoco"]

@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacgen.core.arrays import FloatArray
-from tacgen.core.units import M_PER_MM
+from tacgen.core.types import M_PER_MM, FloatArray
 
 NEAR_TABLE_M = 5e-5  # by which a solver lets an object rise that stands between the fingers
 EDGES = 8  # of a pyramid around a friction cone, 8 % wider at most

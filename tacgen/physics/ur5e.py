@@ -5,7 +5,7 @@ Source: Universal Robots, "DH Parameters for calculations of kinematics and dyna
 
 import numpy as np
 
-from tacgen.core.arrays import FloatArray
+from tacgen.core.types import FloatArray
 from tacgen.physics.frames import Pose, pose, twice_sine
 
 A_M = (0.0, -0.425, -0.3922, 0.0, 0.0, 0.0)  # Universal Robots, DH parameters of the UR5e

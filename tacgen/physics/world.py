@@ -12,10 +12,9 @@ from typing import Any, Self
 
 import numpy as np
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PhysicsError
 from tacgen.core.records import Mesh
-from tacgen.core.units import M_PER_MM, STANDARD_GRAVITY_M_S2
+from tacgen.core.types import M_PER_MM, STANDARD_GRAVITY_M_S2, FloatArray
 from tacgen.physics.engine import ContactPoint, Vector
 from tacgen.physics.pybullet_import import load_bullet
 from tacgen.physics.settings import PhysicsSettings

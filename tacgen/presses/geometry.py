@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.compiled import njit
+from tacgen.core.types import FloatArray
 
 MAX_RADIUS_SHARE = 0.98
 """Largest contact radius as a share of the ball's radius: at 1 the gel would stand upright."""

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.core.errors import PressError
+from tacgen.core.types import BoolArray, FloatArray
 from tacgen.optics.dots import MIN_TRACKED, Dots, Image, dots_at_rest, dots_in, find_spots, follow
 from tacgen.optics.reconstruct import Reconstructor
 from tacgen.optics.table import LookupTable

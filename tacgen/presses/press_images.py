@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import BoolArray, FloatArray, IntArray
+from tacgen.core.types import BoolArray, FloatArray, IntArray
 
 _OF_EACH_PRESS = (
     *("images", "center_px", "radius_px", "ball_radius_mm"),

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from tacgen.contact.effects import Effect, LoadHistory, find_effect
 from tacgen.contact.law import ContactLaw, FittedEffect, respond
-from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import RecipeError
 from tacgen.core.records import Estimate
+from tacgen.core.types import FloatArray
 from tacgen.rig.rig_recipe import RigEffect, RigRecipe
 
 MAX_DOUBLINGS = 40  # a trillion times the start: no magnitude is larger

@@ -18,10 +18,9 @@ from pydantic import (
 )
 
 from tacgen.contact.effects import Where, find_effect
-from tacgen.core.config import Located, Section
 from tacgen.core.errors import ContactError
-from tacgen.core.units import PUBLISHED_K_N_MM3_PER_N
-from tacgen.core.yaml_source import KeyPath, YamlSource, load_checked
+from tacgen.core.schema import KeyPath, Located, Section, YamlSource, load_checked
+from tacgen.core.types import PUBLISHED_K_N_MM3_PER_N
 from tacgen.sensor.description import SensorByName, SensorChoice, sensor_problems
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from tacgen.contact.law import load_law, save_law
 from tacgen.core.files import atomic_path, refuse_existing, refuse_foreign
 from tacgen.core.progress import print_status
-from tacgen.core.version import __version__
+from tacgen.core.resources import __version__
 from tacgen.optics.table import load_table
 from tacgen.rig.effects import SessionTruth, true_response
 from tacgen.rig.images import LAST, write_images

@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import FloatArray
-from tacgen.core.columns import csv_problem
 from tacgen.core.errors import RecipeError
+from tacgen.core.records import csv_problem
+from tacgen.core.types import FloatArray
 from tacgen.rig.rig_recipe import RigRecipe, Temperature
 
 Columns = dict[str, NDArray[Any]]

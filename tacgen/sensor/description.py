@@ -6,12 +6,11 @@ from typing import Annotated, ClassVar
 
 from pydantic import BeforeValidator, FiniteFloat, NonNegativeFloat, PositiveFloat, PositiveInt
 
-from tacgen.core.config import Located, Section, as_named
 from tacgen.core.errors import RecipeError
 from tacgen.core.files import is_file
 from tacgen.core.records import Markers, Sensor
 from tacgen.core.resources import packaged, sensor_path
-from tacgen.core.yaml_source import KeyPath, YamlSource, read_yaml, validate
+from tacgen.core.schema import KeyPath, Located, Section, YamlSource, as_named, read_yaml, validate
 
 
 class SensorChoice(Located):

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 
 from tacgen.contact.gel import gel_size_mm
 from tacgen.contact.raster import dome_mm
-from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.core.errors import SensorError
 from tacgen.core.records import Mesh, Sensor
-from tacgen.core.units import MM_PER_M
+from tacgen.core.types import MM_PER_M, BoolArray, FloatArray
 from tacgen.physics.frames import inverse, pose, rotation_of
 from tacgen.sensor.tactile_pad import Imprint
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from tacgen.contact.effects.history import Memory
 from tacgen.contact.law import USUAL_FRICTION, ContactLaw
-from tacgen.core.arrays import FloatArray
 from tacgen.core.records import ContactFrame
+from tacgen.core.types import FloatArray
 
 LOAD = ("time_s", "force_normal_n", "force_shear_x_n", "force_shear_y_n")
 """The columns of a press log that a load has."""

@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from tacgen.contact.gap import pose_problem
 from tacgen.contact.gel import gel_size_mm
 from tacgen.contact.law import ContactLaw, load_law
-from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import ContactError, SensorError
 from tacgen.core.records import ContactFrame, ContactStatus, Mesh
 from tacgen.core.records import Sensor as Description
-from tacgen.core.units import MM_PER_M
+from tacgen.core.types import MM_PER_M, FloatArray
 from tacgen.optics.table import load_table
 from tacgen.sensor.description import SensorChoice, load_sensor
 from tacgen.sensor.gel_response import GelCourse, gel_loads

@@ -10,10 +10,10 @@ from typing import Annotated, Any
 from pydantic import BaseModel, Field, ValidationError
 
 from tacgen.collection.recipe import Recipe
-from tacgen.core.config import Section
 from tacgen.core.errors import RecipeError
-from tacgen.core.yaml_source import (
+from tacgen.core.schema import (
     UNKNOWN_KEY,
+    Section,
     YamlSource,
     load_checked,
     problem_text,

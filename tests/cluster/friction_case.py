@@ -6,7 +6,7 @@ import numpy as np
 
 from tacgen.collection.perturbed import recipe_object
 from tacgen.collection.recipe import ObjectEntry
-from tacgen.core.units import STANDARD_GRAVITY_M_S2
+from tacgen.core.types import STANDARD_GRAVITY_M_S2
 
 BOX, MU = "sugar_box", 0.4
 

@@ -234,7 +234,7 @@ def test_another_recipe_is_refused_before_anything_is_submitted(prepared):
 def test_what_is_missing_is_said_with_its_mend(prepared, monkeypatch):
     out, recipe = prepared
     monkeypatch.setenv("PATH", "/nowhere")
-    monkeypatch.setattr("tacgen.core.optional_dependencies.find_spec", lambda _: None)
+    monkeypatch.setattr("tacgen.core.errors.find_spec", lambda _: None)
     with pytest.raises(ClusterError, match=r"pip install 'tacgen\[cluster\]'.*\n.*sbatch"):
         submission.submit(recipe, out, "slurm")
     with pytest.raises(ClusterError, match="--executor pbs: give local or slurm"):

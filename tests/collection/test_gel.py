@@ -11,7 +11,7 @@ from scipy.special import ellipe
 from tacgen.collection.gel import gel_patch
 from tacgen.contact.law import ContactLaw
 from tacgen.core.records import ContactFrame, GraspConfig, GraspObject, Mesh
-from tacgen.core.units import STANDARD_GRAVITY_M_S2
+from tacgen.core.types import STANDARD_GRAVITY_M_S2
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
 from tacgen.physics.margins import dome_patch, torsion_arm_mm
 from tacgen.sensor.description import load_sensor

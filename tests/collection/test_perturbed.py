@@ -19,7 +19,7 @@ from tacgen.collection.perturbed import (
 from tacgen.collection.recipe import ObjectEntry, Recipe
 from tacgen.core.records import GraspConfig, GraspTrace, SlipMargin
 from tacgen.core.resources import find_object_folder
-from tacgen.core.units import STANDARD_GRAVITY_M_S2
+from tacgen.core.types import STANDARD_GRAVITY_M_S2
 from tests.small_world import SHORT_LIFT
 
 BOX = "sugar_box"

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
 from tacgen.collection.recipe import DatasetOptions, Recipe, load_recipe
-from tacgen.core.config import Axis
 from tacgen.core.errors import RecipeError
 from tacgen.core.resources import packaged
+from tacgen.core.schema import Axis
 from tacgen.physics.robots import RobotSpec
 from tacgen.sensor.description import load_sensor
 

@@ -16,7 +16,7 @@ import pytest
 from tacgen.collection.recipe import load_recipe
 from tacgen.collection.run import Collected, collect, describe
 from tacgen.core.errors import DatasetError
-from tacgen.core.workers import Event
+from tacgen.core.processes import Event
 from tacgen.dataset import Dataset
 from tacgen.dataset.gallery import Thumbnails
 from tacgen.optics import load_table

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tacgen.core.columns import GRASPS, PRESS_LOG, PRESSES, similar_columns, unit_problems
 from tacgen.core.errors import DatasetError
+from tacgen.core.records import GRASPS, PRESS_LOG, PRESSES, similar_columns, unit_problems
 from tacgen.dataset.real_grasps import CONFIGURATION, REQUIRED, read_real_grasps
 from tacgen.presses import press_folder, press_log
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tacgen.core.errors import TacgenError
-from tacgen.core.frame_order import in_time_order
+from tacgen.core.images import in_time_order
 
 
 def order_of(names):

@@ -14,7 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tacgen.cli import app
-from tacgen.core import lock as file_lock
+from tacgen.core import files as file_lock
 from tacgen.core.errors import DatasetError
 from tacgen.dataset import Dataset, DatasetFolder
 from tacgen.dataset.folder import differences

@@ -9,11 +9,11 @@ from types import SimpleNamespace
 import numpy as np
 
 from tacgen.cluster import states
-from tacgen.core import workers
-from tacgen.core.lock import open_locked
-from tacgen.core.workers import run_tasks
+from tacgen.core import processes
+from tacgen.core.files import open_locked
+from tacgen.core.processes import run_tasks
 from tacgen.dataset.verify import verify
-from tests.core.test_workers import ITEMS_PER_TASK, Script
+from tests.core.test_processes import ITEMS_PER_TASK, Script
 from tests.dataset.conftest import collect_toy
 
 
@@ -52,7 +52,7 @@ def test_a_job_that_was_suspended_blames_no_grasp(tmp_path, monkeypatch):
     asleep_s = itertools.count(step=3600.0)
     now_s = time.monotonic
     monkeypatch.setattr(
-        workers, "time", SimpleNamespace(monotonic=lambda: now_s() + next(asleep_s))
+        processes, "time", SimpleNamespace(monotonic=lambda: now_s() + next(asleep_s))
     )
     slow = Script(tmp_path, dict.fromkeys(range(2 * ITEMS_PER_TASK), "brief"))
     events = list(run_tasks(range(2), slow, workers=1, item_limit_s=60.0))

@@ -15,10 +15,15 @@ import pytest
 
 from tacgen.cluster import submission
 from tacgen.collection.recipe import Cluster, load_recipe
-from tacgen.core.disk import disk_message
 from tacgen.core.errors import ClusterError, DatasetError, LearningError, TacgenError
-from tacgen.core.files import atomic_folder, atomic_path, refuse_existing
-from tacgen.core.lock import holder_of, locked
+from tacgen.core.files import (
+    atomic_folder,
+    atomic_path,
+    disk_message,
+    holder_of,
+    locked,
+    refuse_existing,
+)
 from tacgen.dataset import DatasetFolder
 from tacgen.dataset.export import export_dataset
 from tacgen.dataset.shard import open_shard

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tacgen.core.workers import run_tasks
+from tacgen.core.processes import run_tasks
 from tacgen.dataset import DatasetFolder
 from tacgen.dataset.verify import verify
-from tests.core.test_workers import ITEMS_PER_TASK, Script, items_of
+from tests.core.test_processes import ITEMS_PER_TASK, Script, items_of
 from tests.dataset.conftest import collect_toy, make_sample, make_spec
 from tests.small_world import write_world
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tacgen.core.disk import DiskFile
 from tacgen.core.errors import Interrupted
+from tacgen.core.files import DiskFile
 from tacgen.optics.deform import deform
 from tests.dataset.conftest import collect_toy, make_spec
 from validation.processes.random_kills import processes_of, wait_for_tacgen

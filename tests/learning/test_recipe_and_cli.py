@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from tacgen import cli
-from tacgen.core import optional_dependencies
+from tacgen.core import errors
 from tacgen.core.errors import TacgenError
 from tacgen.core.resources import packaged
 from tacgen.learning.training_recipe import load_train_recipe
@@ -88,9 +88,9 @@ def test_wrong_input_is_one_message_and_exit_2(toy, tmp_path, monkeypatch, capsy
 
 
 def test_a_missing_extra_is_named_with_its_fix(monkeypatch, capsys, tmp_path):
-    present = optional_dependencies.find_spec
+    present = errors.find_spec
     monkeypatch.setattr(
-        optional_dependencies,
+        errors,
         "find_spec",
         lambda name: None if name in ("torch", "sklearn") else present(name),
     )

@@ -10,7 +10,7 @@ import trimesh
 from scipy.spatial import ConvexHull
 
 from tacgen.core.resources import packaged
-from tacgen.core.units import STANDARD_GRAVITY_M_S2
+from tacgen.core.types import STANDARD_GRAVITY_M_S2
 from tacgen.objects import load_object
 from tacgen.objects.cutting import MAX_PART_VERTICES
 from tacgen.objects.description import read_description

@@ -17,7 +17,7 @@ import pytest
 
 from tacgen.core.records import PADS, GraspTrace
 from tacgen.core.resources import packaged
-from tacgen.core.units import MM_PER_M
+from tacgen.core.types import MM_PER_M
 from tacgen.objects import load_object
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings
 from tacgen.physics.bodies import ObjectBody

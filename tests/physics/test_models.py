@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import PhysicsError
 from tacgen.core.records import PADS, Mesh
+from tacgen.core.types import FloatArray
 from tacgen.physics import GraspSimulator, PhysicsSettings
 from tacgen.physics.bodies import principal_axes
 from tacgen.physics.contacts import Contacts, contacts_of

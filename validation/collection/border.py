@@ -29,8 +29,8 @@ from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe
 from tacgen.core.files import atomic_path, write_text
+from tacgen.core.processes import map_in_processes
 from tacgen.core.progress import print_status
-from tacgen.core.workers import map_in_processes
 from tacgen.learning.parameter_baseline import forest
 from tacgen.report.figures import ACCENT, MUTED, new_figure
 

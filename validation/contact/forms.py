@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import FloatArray
+from tacgen.core.types import FloatArray
 
 Columns = dict[str, NDArray[Any]]
 Array = FloatArray

@@ -44,8 +44,8 @@ from threadpoolctl import threadpool_limits
 
 from tacgen.contact.effects import Channel, Effect, Variant, all_effects
 from tacgen.contact.law import respond
-from tacgen.core.arrays import FloatArray
 from tacgen.core.files import write_text
+from tacgen.core.types import FloatArray
 from tacgen.diagnose.contact.channel import ChannelData, ChannelSamples, linear_compliance
 from tacgen.diagnose.contact.model import references_of
 from tacgen.diagnose.contact.residuals import covariates_of

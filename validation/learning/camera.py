@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from tacgen.core.arrays import FloatArray
+from tacgen.core.types import FloatArray
 from tacgen.presses.press_folder import read_presses
 
 BORDER_FRACTION = 0.1

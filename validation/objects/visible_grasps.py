@@ -21,9 +21,9 @@ from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline, tactile_pad
 from tacgen.collection.recipe import Recipe, load_recipe
 from tacgen.core.resources import object_folders
-from tacgen.core.visible import VISIBLE, visible_share
 from tacgen.objects.add import add_object
 from tacgen.objects.showing import SENSORS
+from tacgen.optics.visible import VISIBLE, visible_share
 from tacgen.sensor.description import SensorChoice
 from tacgen.sensor.tactile_pad import Imprint
 

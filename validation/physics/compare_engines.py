@@ -20,9 +20,9 @@ from tacgen.collection.grid import PlannedGrasp, plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe, load_recipe
 from tacgen.core.files import refuse_existing, write_text
+from tacgen.core.processes import Report, run_tasks
 from tacgen.core.progress import print_status, progress_counter
 from tacgen.core.records import GraspTrace
-from tacgen.core.workers import Report, run_tasks
 from tacgen.physics.settings import EngineName
 
 ENGINES: tuple[EngineName, ...] = get_args(EngineName)

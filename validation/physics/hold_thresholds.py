@@ -16,7 +16,7 @@ import numpy as np
 import trimesh
 
 from tacgen.core.records import GraspConfig, GraspObject
-from tacgen.core.units import STANDARD_GRAVITY_M_S2
+from tacgen.core.types import STANDARD_GRAVITY_M_S2
 from tacgen.objects.add import add_object
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
 

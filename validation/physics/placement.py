@@ -14,9 +14,9 @@ import numpy as np
 
 from tacgen.collection.gel import SETTLED_PRESS, gel_patch
 from tacgen.contact.law import ContactLaw
-from tacgen.core.arrays import FloatArray
 from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, Mesh, frozen_array
 from tacgen.core.resources import object_folders
+from tacgen.core.types import FloatArray
 from tacgen.objects import load_object
 from tacgen.optics import load_table
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp

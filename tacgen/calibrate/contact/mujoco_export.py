@@ -19,7 +19,7 @@ from tacgen.contact.raster import dome_mm
 from tacgen.core.errors import ContactError
 from tacgen.core.files import atomic_folder, write_text
 from tacgen.core.records import Sensor
-from tacgen.core.units import M_PER_MM
+from tacgen.core.types import M_PER_MM
 
 PITCH_MM = 0.5
 """Of pins: V of a ball whose contact is three pins wide is then within 2 % of k_n F."""

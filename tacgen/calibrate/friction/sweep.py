@@ -12,10 +12,10 @@ import yaml
 
 from tacgen.collection import perturbed
 from tacgen.collection.recipe import Recipe
-from tacgen.core.arrays import BoolArray, FloatArray, IntArray
 from tacgen.core.errors import RecipeError
 from tacgen.core.files import refuse_foreign, refuse_other_page, write_text
 from tacgen.core.resources import find_object_folder
+from tacgen.core.types import BoolArray, FloatArray, IntArray
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 
 SweepKey = tuple[str, float]

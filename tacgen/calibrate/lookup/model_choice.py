@@ -20,7 +20,7 @@ from tacgen.calibrate.lookup.smooth_model import (
     n_light_terms,
     n_position_features,
 )
-from tacgen.core.arrays import FloatArray, IntArray
+from tacgen.core.types import FloatArray, IntArray
 from tacgen.presses.experiments import is_clear, per_experiment, ranked
 
 _HIGHEST = FitSettings(max(RULES.degrees), max(RULES.position_degrees))

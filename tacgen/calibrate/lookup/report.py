@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from tacgen.calibrate.lookup.press_fit import predicted
 from tacgen.calibrate.lookup.score import PressRenderer
 from tacgen.calibrate.lookup.table_fit import Calibration
-from tacgen.core.arrays import FloatArray
 from tacgen.core.images import difference, evenly, no_wider, side_by_side
+from tacgen.core.types import FloatArray
 from tacgen.presses.press_images import PressImages
 from tacgen.report import figures as plots
 from tacgen.report.page import write_page

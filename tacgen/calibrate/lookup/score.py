@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from tacgen.calibrate.lookup import press_fit
 from tacgen.calibrate.lookup.prepared import Pixels, disc_pixels
 from tacgen.calibrate.lookup.settings import RULES
-from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.errors import PressError
+from tacgen.core.types import FloatArray, IntArray
 from tacgen.optics.reconstruct import Reconstructor
 from tacgen.optics.render import Effects, Shader
 from tacgen.optics.smooth import Window, grown

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from tacgen.calibrate.lookup.settings import FitSettings
-from tacgen.core.arrays import FloatArray
+from tacgen.core.types import FloatArray
 
 
 def exponents(degree: int) -> list[tuple[int, int]]:

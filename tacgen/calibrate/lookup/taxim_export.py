@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from tacgen.calibrate.lookup.taxim_import import CHANNELS_RGB, pixel_features_from_position
 from tacgen.contact.gel import gel_map_mm, pixel_centers_mm
 from tacgen.contact.indentation import contact_depth
-from tacgen.core.arrays import FloatArray
 from tacgen.core.files import atomic_folder
 from tacgen.core.records import Sensor
+from tacgen.core.types import FloatArray
 from tacgen.optics.deform import deform
 from tacgen.optics.image_models.base import features
 from tacgen.optics.render import Shader

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from tacgen.core.errors import TableError
 from tacgen.core.files import sha256_of
+from tacgen.core.resources import __version__
 from tacgen.core.safe_io import check_archive, read_npy, read_rgb
-from tacgen.core.version import __version__
 from tacgen.optics.table import N_FEATURES, LookupTable, save_table
 
 MAX_POLYCALIB_BYTES = 1 << 26  # one of 125 bins, the most that Taxim uses, has 2 MB

@@ -15,8 +15,8 @@ from tacgen.contact.effects.history import CHANNELS as CHANNELS
 from tacgen.contact.effects.history import Channel as Channel
 from tacgen.contact.effects.history import LoadHistory as LoadHistory
 from tacgen.contact.effects.where import Where as Where
-from tacgen.core.arrays import FloatArray as FloatArray
 from tacgen.core.errors import ContactError
+from tacgen.core.types import FloatArray as FloatArray
 
 Stage = Literal["input", "memory", "elastic", "gain", "output"]
 STAGES: tuple[Stage, ...] = ("input", "memory", "elastic", "gain", "output")

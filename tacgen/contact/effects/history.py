@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tacgen.contact.effects import kernels
-from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.core.errors import ContactError
+from tacgen.core.types import BoolArray, FloatArray
 
 Made = TypeVar("Made")
 Memory: TypeAlias = Mapping[Hashable, tuple[float, Any]]

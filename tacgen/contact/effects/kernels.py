@@ -8,8 +8,8 @@ Those called ``next_…`` are one step of such a recursion, from a state to the 
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import BoolArray, FloatArray
 from tacgen.core.compiled import njit
+from tacgen.core.types import BoolArray, FloatArray
 
 
 @njit(cache=True)

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import ConfigDict
 
 from tacgen.contact.effects.history import LoadHistory
-from tacgen.core.arrays import BoolArray
+from tacgen.core.types import BoolArray
 
 WhereColumn = Literal["trial", "x_mm", "y_mm", "radius_mm", "indenter"]
 

@@ -19,11 +19,10 @@ from typing import Any
 import pandas as pd
 import yaml
 
-from tacgen.core.disk import disk_errors
 from tacgen.core.errors import DatasetError, RecipeError, require_known
-from tacgen.core.files import atomic_folder, write_text
+from tacgen.core.files import atomic_folder, disk_errors, write_text
 from tacgen.core.records import LABEL_NOT_EXECUTED, Camera
-from tacgen.core.version import __version__
+from tacgen.core.resources import __version__
 from tacgen.dataset.folder import DatasetFolder
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample

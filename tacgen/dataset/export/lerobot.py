@@ -21,9 +21,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tacgen.core.errors import DatasetError
+from tacgen.core.errors import DatasetError, require_extra
 from tacgen.core.images import encode_png
-from tacgen.core.optional_dependencies import require_extra
 from tacgen.dataset.export import arrays_of, camera_facts, origin, write_camera_facts
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample, frame_columns, frame_flags

@@ -24,9 +24,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import FloatArray
-from tacgen.core.disk import DiskFile
+from tacgen.core.files import DiskFile
 from tacgen.core.records import LABEL_SUCCESS
+from tacgen.core.types import FloatArray
 from tacgen.dataset.export import arrays_of, camera_facts
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tacgen.contact.effects import Effect, Variant, all_effects
 from tacgen.contact.law import respond
-from tacgen.core.arrays import FloatArray
+from tacgen.core.types import FloatArray
 from tacgen.diagnose.contact.channel import TARGETS, ChannelData
 from tacgen.diagnose.contact.model import HOWS, Covariate, Fit, Model, references_of
 from tacgen.presses.press_log import CONTRACT

@@ -12,7 +12,7 @@ import numpy as np
 
 from tacgen.contact.effects import Effect, Where, all_effects, find_effect
 from tacgen.contact.effects.where import WhereColumn
-from tacgen.core.arrays import BoolArray, FloatArray
+from tacgen.core.types import BoolArray, FloatArray
 from tacgen.diagnose.contact import scores
 from tacgen.diagnose.contact.candidates import Candidate, effect_candidates
 from tacgen.diagnose.contact.channel import ChannelData

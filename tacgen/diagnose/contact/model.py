@@ -8,7 +8,7 @@ import numpy as np
 
 from tacgen.contact.effects import Effect, Variant
 from tacgen.contact.law import respond
-from tacgen.core.arrays import BoolArray, FloatArray
+from tacgen.core.types import BoolArray, FloatArray
 from tacgen.diagnose.contact.channel import ChannelData
 
 _MAX_STEPS = 25  # of Gauss-Newton; it ends earlier where it has converged

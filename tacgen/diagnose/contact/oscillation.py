@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
 
-from tacgen.core.arrays import FloatArray
+from tacgen.core.types import FloatArray
 from tacgen.diagnose.contact.channel import ChannelData
 from tacgen.diagnose.contact.model import HOWS, Covariate, Fit, How
 from tacgen.diagnose.contact.scores import score_weights, sign_flips

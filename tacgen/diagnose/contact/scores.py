@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import BoolArray, FloatArray
+from tacgen.core.types import BoolArray, FloatArray
 from tacgen.diagnose.contact.channel import ChannelData
 from tacgen.diagnose.contact.model import Fit
 

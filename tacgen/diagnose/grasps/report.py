@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from tacgen.calibrate.friction.report import grasp_places
-from tacgen.core.arrays import IntArray
+from tacgen.core.types import IntArray
 from tacgen.dataset.real_grasps import RealGrasps
 from tacgen.report import figures as plots
 from tacgen.report.page import write_page

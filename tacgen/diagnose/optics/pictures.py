@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.images import difference, side_by_side
+from tacgen.core.types import FloatArray
 from tacgen.diagnose.optics.diagnose import OpticsDiagnosis, on_presses
 from tacgen.diagnose.optics.fit import Model
 from tacgen.diagnose.optics.rendering import PressView

@@ -1,27 +1,17 @@
 """What the residuals of held-out presses still follow that no listed effect explains."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.stats import t as student
 
-from tacgen.core.arrays import FloatArray
+from tacgen.core.types import FloatArray
+from tacgen.diagnose.evidence import Dependence
 from tacgen.diagnose.optics.fit import Model, PressFit, typical
 from tacgen.diagnose.optics.selection import log_gain
 
 PLACE = "place_on_gel"
 
 
-@dataclass(frozen=True, slots=True)
-class Dependence:
-    """A covariate that the residuals follow, and what predicting by it lowers the error by."""
-
-    covariate: str
-    p_value: float
-    gain_grey: float
-
-
-def dependences(fit: PressFit, model: Model) -> list[Dependence]:
+def dependences(fit: PressFit, model: Model) -> tuple[Dependence, ...]:
     """Covariates that a model's held-out residuals follow, the strongest first.
 
     For each the residuals are predicted from the other folds' presses and subtracted; a line in a
@@ -45,7 +35,7 @@ def dependences(fit: PressFit, model: Model) -> list[Dependence]:
         if gain >= least and p_value <= rules.false_alarm / len(errors):
             grey = np.sqrt(typical(before)) - np.sqrt(typical(after))
             found.append(Dependence(name, p_value, float(grey)))
-    return sorted(found, key=lambda dependence: -dependence.gain_grey)
+    return tuple(sorted(found, key=lambda dependence: -dependence.gain))
 
 
 def _squares(fit: PressFit, residuals: list[FloatArray], predicted: list[FloatArray]) -> FloatArray:

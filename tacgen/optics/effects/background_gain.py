@@ -3,7 +3,7 @@
 from types import MappingProxyType
 from typing import Any
 
-from tacgen.core.arrays import FloatArray
+from tacgen.core.types import FloatArray
 from tacgen.optics.effects import effect as base
 
 GAINS = {f"gain_{c}": base.OpticalParameter(1.0, 0.4, 1.6, prior=0.3) for c in base.CHANNELS}

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tacgen.core.arrays import FloatArray
+from tacgen.core.types import FloatArray
 from tacgen.optics.effects import effect as base
 from tacgen.optics.smooth import half_kernel, smooth
 

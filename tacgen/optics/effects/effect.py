@@ -15,8 +15,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import TableError
+from tacgen.core.types import FloatArray
 from tacgen.optics.smooth import Window
 from tacgen.optics.table import Leds, LookupTable
 

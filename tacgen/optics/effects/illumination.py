@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tacgen.core.arrays import FloatArray
+from tacgen.core.types import FloatArray
 from tacgen.optics.effects import effect as base
 
 PLACES = ("uu", "vv", "uv", "u", "v")

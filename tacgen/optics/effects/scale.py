@@ -5,7 +5,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from tacgen.core.arrays import FloatArray
+from tacgen.core.types import FloatArray
 from tacgen.optics.effects import effect as base
 
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.compiled import njit
+from tacgen.core.types import FloatArray
 from tacgen.optics.effects import effect as base
 from tacgen.optics.table import Leds, LookupTable, leds_of_table
 

@@ -6,8 +6,8 @@ from typing import Any, ClassVar, Protocol, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import TableError
+from tacgen.core.types import FloatArray
 from tacgen.optics.smooth import Window
 
 TableSection: TypeAlias = tuple[dict[str, NDArray[Any]], dict[str, Any]]

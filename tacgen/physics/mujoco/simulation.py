@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from tacgen.core.arrays import FloatArray, IntArray
 from tacgen.core.errors import PhysicsError
 from tacgen.core.records import PADS, GraspObject, Mesh
-from tacgen.core.units import M_PER_MM, STANDARD_GRAVITY_M_S2
+from tacgen.core.types import M_PER_MM, STANDARD_GRAVITY_M_S2, FloatArray, IntArray
 from tacgen.physics import engine
 from tacgen.physics.bodies import principal_axes
 from tacgen.physics.engine import TABLE, ContactPoint, Place, Touch, Vector

@@ -17,7 +17,7 @@ from tacgen.collection.perturbed import Outcome, recipe_object
 from tacgen.collection.recipe import ObjectEntry, Recipe
 from tacgen.core.errors import RecipeError
 from tacgen.core.records import GraspConfig
-from tacgen.core.units import STANDARD_GRAVITY_M_S2
+from tacgen.core.types import STANDARD_GRAVITY_M_S2
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps, read_real_grasps
 from tests.small_world import SHORT_LIFT
 

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from tacgen.cli import app
 from tacgen.contact.law import load_law
-from tacgen.core import workers
+from tacgen.core import processes
 from tacgen.core.errors import PressError
 from tacgen.diagnose.contact.command import SEED, diagnose
 from tacgen.diagnose.contact.heldout import test_trials as trials_to_hold_out
@@ -353,7 +353,7 @@ def test_one_core_and_several_find_the_same(monkeypatch, n_trials):
     made, _ = case(effects, 3.0, n_trials=n_trials, n_samples=30)
     records = []
     for cores in (1, 3):
-        monkeypatch.setattr(workers, "available_cores", lambda cores=cores: cores)
+        monkeypatch.setattr(processes, "available_cores", lambda cores=cores: cores)
         records.append(diagnosis_record(diagnose(made)))
     assert json.dumps(records[0]) == json.dumps(records[1])
     found = [names(one) for one in records[0]["channels"].values()]

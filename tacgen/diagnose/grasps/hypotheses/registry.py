@@ -11,9 +11,9 @@ from enum import Enum, auto
 import numpy as np
 
 from tacgen.collection.perturbed import Perturbation
-from tacgen.core.arrays import FloatArray
 from tacgen.core.errors import TacgenError
 from tacgen.core.records import GraspObject
+from tacgen.core.types import FloatArray
 
 
 class Prediction(Enum):

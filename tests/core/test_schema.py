@@ -5,7 +5,7 @@ from pydantic import BaseModel, ConfigDict
 
 from tacgen.core.errors import RecipeError
 from tacgen.core.resources import packaged
-from tacgen.core.yaml_source import dotted, read_yaml, validate
+from tacgen.core.schema import dotted, read_yaml, validate
 
 
 class Inner(BaseModel):

@@ -16,7 +16,7 @@ class VisibleRules:
     """By which a channel of a pixel differs: a sixteenth of its range, far above the noise of the
     shipped sensors, which is 1 or less."""
     noise_sigmas: float = 4.0
-    """Of the camera's noise, where that is more: noise alone reaches 3.7 (``core/noise.py``)."""
+    """Of the camera's noise, where that is more: noise alone reaches 3.7 (``optics/noise.py``)."""
     contact_share: float = 0.015
     """Of the picture's pixels, from which on it shows a contact: a round patch of a sixth of the
     picture's shorter side. Less is found by who looks for it; 0 is nothing to see."""

@@ -17,9 +17,9 @@ import cv2
 import numba
 import pytest
 
-from tacgen.core import workers
+from tacgen.core import processes
 from tacgen.core.errors import TacgenError
-from tacgen.core.workers import map_in_processes, run_tasks
+from tacgen.core.processes import map_in_processes, run_tasks
 
 CHECKOUT = Path(__file__).parents[2]
 ITEMS_PER_TASK = 4
@@ -111,9 +111,9 @@ def test_waiting_for_a_core_is_no_time_of_a_process():
         one.start()
         os.sched_setaffinity(one.pid, {core})
     try:
-        began_s, before_s = time.monotonic(), workers.waited_for_a_core_s(crowd[0].pid)
+        began_s, before_s = time.monotonic(), processes.waited_for_a_core_s(crowd[0].pid)
         time.sleep(2.0)
-        share = (workers.waited_for_a_core_s(crowd[0].pid) - before_s) / (
+        share = (processes.waited_for_a_core_s(crowd[0].pid) - before_s) / (
             time.monotonic() - began_s
         )
         assert 0.6 < share < 1.0  # and longer where others want that core too
@@ -125,7 +125,7 @@ def test_waiting_for_a_core_is_no_time_of_a_process():
 
 def test_an_item_that_waits_for_a_core_does_not_hang(tmp_path, monkeypatch):
     waits_s = itertools.count(step=10.0)
-    monkeypatch.setattr(workers, "waited_for_a_core_s", lambda _pid: next(waits_s))
+    monkeypatch.setattr(processes, "waited_for_a_core_s", lambda _pid: next(waits_s))
     done, _ = results(tmp_path, {6: "long"}, limit_s=1.0)
     assert done[1] == items_of(1)
 
@@ -146,14 +146,14 @@ def test_a_worker_that_falls_silent_between_items_is_replaced_and_nothing_is_los
     tmp_path, monkeypatch
 ):
     """Stopped by a hand, or held by a file system: no grasp's fault."""
-    monkeypatch.setattr(workers, "SILENCE_LIMIT_S", 3.0)
+    monkeypatch.setattr(processes, "SILENCE_LIMIT_S", 3.0)
     done, events = results(tmp_path, {"after 5": "hang_once"}, workers=1, limit_s=3.0)
     assert done == {task: items_of(task) for task in range(3)}
     assert [event.kind for event in events if event.kind not in ("item", "done")] == ["retried"]
 
 
 def test_a_worker_that_dies_between_two_looks_loses_no_task(tmp_path, monkeypatch):
-    look = workers._end_if_hung
+    look = processes._end_if_hung
     killed = []
 
     def look_and_kill(worker, progress, limit_s):
@@ -163,7 +163,7 @@ def test_a_worker_that_dies_between_two_looks_loses_no_task(tmp_path, monkeypatc
             worker.process.join()
             killed.append(worker.task)
 
-    monkeypatch.setattr(workers, "_end_if_hung", look_and_kill)
+    monkeypatch.setattr(processes, "_end_if_hung", look_and_kill)
     done, events = results(tmp_path, {5: "slow"}, workers=1)
     assert killed == [1]
     assert done == {task: items_of(task) for task in range(3)}
@@ -230,7 +230,7 @@ def test_mapped_processes_do_not_handle_signals_as_the_command_line_does():
 LATE_COPY = """
 import itertools, os, signal, time
 from tacgen.core.errors import Interrupted, TacgenError
-from tacgen.core.workers import map_in_processes
+from tacgen.core.processes import map_in_processes
 
 def refused(item):
     raise TacgenError(f"item {item} is wrong; fix it")
@@ -299,25 +299,25 @@ def test_workers_that_cannot_start_are_told_of(tmp_path, monkeypatch):
         raise ConnectionRefusedError(111, "Connection refused")
 
     monkeypatch.setattr("multiprocessing.context.ForkServerProcess.start", refused)
-    monkeypatch.setattr("tacgen.core.workers._START_PAUSE_S", 0.0)
+    monkeypatch.setattr("tacgen.core.processes._START_PAUSE_S", 0.0)
     with pytest.raises(TacgenError, match=r"no worker process could be started with .*python"):
         results(tmp_path, {})
 
 
 def test_a_temporary_folder_too_long_for_a_socket_is_named(tmp_path, monkeypatch):
     folder = str(tmp_path / ("long" * 25))
-    monkeypatch.setattr(workers, "get_temp_dir", lambda: folder)
+    monkeypatch.setattr(processes, "get_temp_dir", lambda: folder)
     with pytest.raises(TacgenError, match=r"long: too long a path .* set TMPDIR to a shorter one"):
         results(tmp_path, {})
 
 
 def test_a_worker_that_is_killed_within_a_message_is_only_dead():
     ours, theirs = Pipe()
-    worker = workers._Worker(Process(), ours, task=0)
+    worker = processes._Worker(Process(), ours, task=0)
     message = pickle.dumps(("item", 3, b"x" * 50_000))
     os.write(theirs.fileno(), struct.pack("!i", len(message)) + message[:1000])
     theirs.close()
-    assert list(workers._read_messages(worker, workers._Progress(deque()))) == []
+    assert list(processes._read_messages(worker, processes._Progress(deque()))) == []
 
 
 def test_copies_of_this_process_wait_for_no_thread_of_opencv():
@@ -347,8 +347,8 @@ class Heavy:
 
 MAPS = """
 import sys
-from tacgen.core.workers import map_in_processes
-from tests.core.test_workers import Heavy
+from tacgen.core.processes import map_in_processes
+from tests.core.test_processes import Heavy
 if __name__ == "__main__":
     try:
         map_in_processes(Heavy(), [0, 1], 2, method=sys.argv[1])

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from tacgen.core.noise import with_camera_noise
-from tacgen.core.visible import VISIBLE, visible_share
+from tacgen.optics.noise import with_camera_noise
+from tacgen.optics.visible import VISIBLE, visible_share
 
 AT_REST = np.full((40, 50, 3), 120, np.uint8)
 

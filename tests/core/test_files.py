@@ -3,7 +3,7 @@
 import pytest
 
 from tacgen.core.errors import TacgenError
-from tacgen.core.lock import holder_of, locked
+from tacgen.core.files import holder_of, locked
 
 
 def test_a_lock_is_held_by_one_and_removed_at_the_end(tmp_path):

@@ -1,6 +1,18 @@
-"""Conversions between tacgen's units (N, mm, s, rad, °C, kg) and others, and known constants."""
+"""Names for the arrays that functions take and return; units and known constants.
+
+Units within tacgen are N, mm, s, rad, °C and kg.
+"""
 
 import math
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray: TypeAlias = NDArray[np.floating[Any]]
+IntArray: TypeAlias = NDArray[np.integer[Any]]
+BoolArray: TypeAlias = NDArray[np.bool_]
+
 
 MM_PER_M = 1000.0
 M_PER_MM = 1e-3
