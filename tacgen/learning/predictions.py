@@ -11,6 +11,7 @@ from scipy import optimize, special
 from tacgen.learning.checkpoint import ModelCard
 from tacgen.learning.grasps import GraspTable
 from tacgen.learning.networks import NetworkInput, StabilityNet
+from tacgen.optics.drift import press_in_background
 from tacgen.optics.same_view import SAME_VIEW, other_view
 
 MIN_PROBABILITY = 1e-12
@@ -96,7 +97,7 @@ def notes_on_views(
     rest: NDArray[np.uint8] | None,
     trained: NDArray[np.uint8] | None,
 ) -> list[str]:
-    """Whether images are turned, shifted or coloured otherwise than those of the training.
+    """Whether images are of another view than those of the training, or a background is a press.
 
     ``inputs`` are those of grasps, (T, h, w, 3 or 6), with the sensor's image first; ``rest`` and
     ``trained`` (h, w, 3) their gel at rest and that of the training.
@@ -106,6 +107,9 @@ def notes_on_views(
     notes = []
     if wrong := other_view(rest, trained):
         notes.append(f"the background does NOT match the training's: {wrong}; {SAME_VIEW}")
+    elif press := press_in_background(rest.astype(np.float64), trained.astype(np.float64)):
+        sentence = press.sentence("the training's")
+        notes.append(f"{sentence}, in pixels of the input; take it anew with nothing on the gel")
     some = inputs[:: max(1, len(inputs) // LOOKED_AT)]
     found = [wrong for one in some if (wrong := other_view(one[-1, ..., :3], rest))]
     if 2 * len(found) > len(some):

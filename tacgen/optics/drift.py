@@ -47,6 +47,20 @@ class Imprint:
     radius_px: float
     grey: float
 
+    def sentence(self, whose: str, px: float = 1.0) -> str:
+        """What a background that has it shows beside ``whose`` gel, averaged over ``px`` px."""
+        x, y = (self.center_px + 0.5) * px - 0.5
+        return (
+            f"the background may show a press, at ({x:.0f}, {y:.0f}), where it differs by "
+            f"{self.grey:.0f} grey levels from {whose} gel at rest"
+        )
+
+
+def press_in_background(rest: FloatArray, known: FloatArray) -> Imprint | None:
+    """The press that a gel at rest (h, w, 3) shows beside the one that is ``known`` (h, w, 3)."""
+    seen = np.ones(rest.shape[:2])
+    return drift_of(rest - known, known, seen, falls_outwards=True).imprint
+
 
 @dataclass(frozen=True, slots=True)
 class Drift:

@@ -490,12 +490,9 @@ def _doubts(light: Drift, step: int) -> tuple[str, ...]:
     """What is odd about a background, averaged over ``step`` px, in a light not the table's."""
     found = []
     if (imprint := light.imprint) is not None:
-        x, y = (imprint.center_px + 0.5) * step - 0.5
-        found.append(
-            f"the background may show a press, at ({x:.0f}, {y:.0f}), where it differs by "
-            f"{imprint.grey:.0f} grey levels from the table's gel at rest: depth and force are "
-            "then wrong; take it anew with nothing on the gel"
-        )
+        odd = imprint.sentence("the table's", step)
+        fix = "take it anew with nothing on the gel"
+        found.append(f"{odd}: depth and force are then wrong; {fix}")
     if np.any(np.abs(_brightness(light) - 1.0) > MOST_GAIN + 0.01):
         found.append(
             f"the background is {_gains(light)} as the table's: calibrate again in this light"

@@ -206,9 +206,13 @@ def load_courses(
 def _pad_loads(window: Sequence[Snapshot], bodies: Bodies) -> dict[str, PadLoad]:
     """What the pads that press do to the object, on the mean of ``window``.
 
-    While it stands on the table they do no more than it takes: see ``standing``.
+    While it stands on the table they do no more than it takes: see ``standing``. What was before
+    the lift is not in the mean of a window of the lift.
     """
-    last, contacts = window[-1], mean_contacts(window)
+    last = window[-1]
+    if last.step >= bodies.lift_step:
+        window = [one for one in window if one.step >= bodies.lift_step - 1]
+    contacts = mean_contacts(window)
     closing_axis = gripper_pose(last)[:3, 0]
     spins, loads = _spinning_moments_n_m(window, contacts, bodies), {}
     for pad in bodies.pads:

@@ -282,7 +282,7 @@ def read_image(
     >>> sensor = tacgen.Sensor("gelsight_mini")
     >>> picture = sensor.render(ball, np.eye(4), force_n=3.0).rgb
     >>> reading = tacgen.read_image(picture, sensor)
-    >>> bool(abs(reading.force_n[2] - 3.0) < 0.2)
+    >>> bool(abs(reading.force_n[2] - 3.0) < reading.force_stderr_n[2] < 0.5)
     True
     """
     return ImageReader(sensor, background_rgb).read(image_rgb)

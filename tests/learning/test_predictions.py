@@ -1,12 +1,16 @@
 """Calibrated probabilities, and images that are unlike those of the training."""
 
+import re
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 import torch
+import trimesh
 from scipy.special import expit
 
+import tacgen
 from tacgen.learning.predictions import (
     calibrated_temperature,
     input_statistics,
@@ -146,6 +150,18 @@ def test_a_background_or_images_of_another_view_are_noted(view):
     # One odd picture among many is none of the set.
     assert notes_on_views([other(images[0]), *images], rest, rest) == []
     assert notes_on_views(images, None, rest) == []
+
+
+def test_a_press_as_background_is_noted():
+    sensor = tacgen.Sensor("gelsight_mini")
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=4.0)
+    pictures = sensor.at_rest_rgb(), sensor.render(ball, np.eye(4), 4.0).rgb
+    rest, pressed = (cv2.resize(one, (128, 96), interpolation=cv2.INTER_AREA) for one in pictures)
+    (note,) = notes_on_views([pressed[None]], pressed, rest)
+    x, y = re.findall(r"the background may show a press, at \((\d+), (\d+)\)", note)[0]
+    assert (int(x), int(y)) == pytest.approx((63.5, 47.5), abs=1.5)
+    dimmed = np.rint(0.9 * rest).astype(np.uint8)
+    assert notes_on_views([dimmed[None]], dimmed, rest) == []
 
 
 def test_blank_images_lie_outside_of_a_wide_range():

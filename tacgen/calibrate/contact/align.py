@@ -9,6 +9,7 @@ Elsewhere V = k_n F_n needs that what gauge and gel read at rest before a press 
 ``limits_of`` is what a log lacks, and which press would tell.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -19,6 +20,7 @@ from scipy.optimize import brentq, least_squares, minimize_scalar
 from scipy.special import fdtrc
 
 from tacgen.calibrate.contact.slope_fit import neighbours
+from tacgen.contact.effects import LoadHistory
 from tacgen.contact.noise import sample_noise
 from tacgen.core.errors import PressError
 from tacgen.core.records import frozen_array
@@ -34,6 +36,14 @@ IN_CONTACT_SHARE = 0.05  # of the deepest: nearer to the surface noise of the de
 INSTRUMENT_STEPS = 6  # each a tenth of the one before it
 MOST_SHIFT_SHARE = 0.15  # of the deepest, median: zeros of stages are off by less, stiffening more
 MOST_STEP_SHARE = 0.2  # of the deepest: where a step is longer, its direction alone is known
+N_TAUS = 5  # time constants of creep, from what samples resolve to two presses
+BENDS = (0.8, 2.0)  # powers of the force by which a gel yields more at first, or later
+EFFECT_P, BENT_P = 0.001, 0.01
+"""An effect that is not there costs only that presses share a shift; stiffening that is there and
+is not seen becomes one."""
+MISFIT = 1.15  # residuals over their noise by differences: up to 1.1 where the model holds
+UNLOADED_SHARE = 0.01  # of the span of force: a tenth of the deepest, or less
+SHIFTED = 3.0  # standard errors of a shift of all presses
 LEAST_SHIFT_SHARE = 1e-4  # of the deepest: a shift of which changes no volume that matters
 
 RADII_MM = (0.1, 100.0)  # indenters outside this range are no balls that a gel is pressed with
@@ -80,11 +90,16 @@ def align(
     if "volume_mm3" not in log:
         log = _with_fitted_balls(log)
     of_depth = [int(trial) for trial in log.trials if _is_of_depth(log, log["trial"] == trial)]
-    if free_contact_point is None and begins_elsewhere(log, of_depth):
+    if free_contact_point is not None:
+        return free_contact_points(log, log.trials.tolist()) if free_contact_point else (log, ())
+    shift = shift_beside_effects(log, of_depth)
+    if shift and shift[0] != 0.0:
+        return _shifted(log, np.isin(log["trial"], of_depth), *shift), ()
+    if shift is None and begins_elsewhere(log, of_depth):
         note = "presses begin elsewhere than depth_mm says: the contact point of each is fitted"
         log = replace(log, warnings=(*log.warnings, f"{log.path}: {note}"))
         return free_contact_points(log, of_depth)
-    return free_contact_points(log, log.trials.tolist()) if free_contact_point else (log, ())
+    return log, ()
 
 
 def _is_of_depth(log: PressLog, rows: BoolArray) -> bool:
@@ -95,6 +110,115 @@ def _is_of_depth(log: PressLog, rows: BoolArray) -> bool:
     known = np.isfinite(depth).all() and np.isfinite(radius).all() and (radius > 0).all()
     cap = ball_volume_mm3(depth, radius)
     return bool(known and np.abs(volume - cap).max() <= 1e-3 * cap.max())
+
+
+def _shifted(log: PressLog, rows: BoolArray, shift_mm: float, stderr_mm: float) -> PressLog:
+    """The log with the volumes of ``rows`` at depths that one shift makes larger."""
+    note = f"{log.path}: depth_mm is {-shift_mm:.3f} mm at first contact: that is subtracted"
+    radius, depth = log["radius_mm"], log["depth_mm"] + shift_mm
+    volume = np.where(rows, ball_volume_mm3(depth, radius), log["volume_mm3"])
+    loaded = volume[rows]
+    per_mm = float(loaded @ _area_mm2(depth, radius)[rows]) / max(float(loaded @ loaded), 1e-300)
+    share = math.hypot(log.volume_stderr_share, stderr_mm * per_mm)
+    log = replace(log, warnings=(*log.warnings, note), volume_stderr_share=share)
+    return _with_columns(log, {"volume_mm3": volume})
+
+
+def shift_beside_effects(log: PressLog, trials: Sequence[int]) -> tuple[float, float] | None:
+    """The shift of all depths where the gel shows effects, and its error, mm; 0 if not certain.
+
+    Volume = k F + creep and the way back, with the k of each press and one shift of all depths, by
+    instruments as in ``_fit_press``; a depth's noise is the same at all depths, so that rows are
+    weighted by 1 / area. Where the gel stiffens too, a shift cannot be told from it: there only a
+    depth that presses begin with before they have a force shows one. None where presses show no
+    effect, or are too few to show any.
+    """
+    if len(trials) < FEW_TRIALS:
+        return None
+    log = without_zero(log.select(np.isin(log["trial"], trials)))
+    trial, depth, radius = (log[name] for name in ("trial", "depth_mm", "radius_mm"))
+    numbers = np.unique(trial, return_inverse=True)[1]
+    own_press = numbers[:, None] == np.arange(len(trials))
+    history = LoadHistory({name: log[name] for name in ("trial", "time_s", "force_normal_n")})
+    load, span_n = history.load("normal"), history.normal_span_n
+    relative = np.maximum(load / span_n, 0.0)
+    taus_s = np.geomspace(4.0 * history.sample_period_s, 2.0 * history.trial_duration_s, N_TAUS)
+    peak, _ = history.peak_load(load, "normal", span_n)
+    memory = [history.low_pass(load, tau_s) for tau_s in taus_s]
+    known = np.hstack([*memory, np.maximum(peak - load, 0.0), own_press * load])
+    bends = np.hstack([relative**power for power in BENDS])
+
+    def paired(columns: FloatArray) -> FloatArray:
+        return np.hstack([neighbours(one[:, None], trial) for one in columns.T])
+
+    pairs = np.hstack([paired(known[:, : -len(trials)]), own_press * paired(load)])
+    deepest, middle = float(depth.max()), paired(depth[:, None])[:, 0]
+    limit = MOST_STEP_SHARE * deepest
+
+    def fitted(parts: FloatArray) -> tuple[FloatArray, ...]:
+        """Shifts (S,) of ``parts`` (N, S), and columns, instruments and volume as weighted."""
+        shifts = np.zeros(parts.shape[1])
+        for _ in range(INSTRUMENT_STEPS):
+            at = parts @ shifts
+            inside = middle + at > 2.0 * IN_CONTACT_SHARE * deepest
+            weight = (inside / np.maximum(_area_mm2(middle + at, radius), 1e-9))[:, None]
+            area = _area_mm2(depth + at, radius)[:, None]
+            columns = np.hstack([-area * parts, known]) * weight
+            instruments = np.hstack([-paired(area) * parts, pairs]) * weight
+            volume = ball_volume_mm3(depth + at, radius) * weight[:, 0]
+            found, _ = _by_instruments(columns, instruments, volume, numbers)
+            shifts = shifts + np.clip(found[: len(shifts)], -limit, limit)
+        return shifts, columns, instruments, volume, weight
+
+    # Each press may begin elsewhere without any effect.
+    _, columns, instruments, volume, weight = fitted(own_press.astype(np.float64))
+    found, spread = _by_instruments(columns, instruments, volume, numbers)
+    effects = slice(len(trials), len(trials) + N_TAUS + 1)
+    is_effect = _p_of_none(found[effects], spread[effects, effects], len(trials)) < EFFECT_P
+    bent, bent_spread = _by_instruments(
+        np.hstack([bends * weight, columns]),
+        np.hstack([paired(bends) * weight, instruments]),
+        volume,
+        numbers,
+    )
+    is_bent = _p_of_none(bent[:2], bent_spread[:2, :2], len(trials)) < BENT_P
+    if not (is_effect or is_bent):
+        return None
+    shifts, columns, instruments, volume, weight = fitted(np.ones((len(depth), 1)))
+    found, spread = _by_instruments(columns, instruments, volume, numbers)
+    left, is_next = volume - columns @ found, (np.diff(numbers) == 0) & (weight[1:, 0] > 0)
+    is_next &= weight[:-1, 0] > 0
+    jumps = 0.5 * float((np.diff(left)[is_next] ** 2).sum())
+    if is_bent or float((left[1:][is_next] ** 2).sum()) > MISFIT**2 * jumps:
+        begin = np.flatnonzero(np.diff(numbers, prepend=-1))
+        unloaded = depth[begin[load[begin, 0] < UNLOADED_SHARE * span_n]]
+        zero = float(np.median(unloaded)) if len(unloaded) >= LEAST_TRIALS else 0.0
+        error = MEDIAN_STDERR * float(np.std(unloaded)) / math.sqrt(max(len(unloaded), 1))
+        return (-zero, error) if zero > CLEAR * error else (0.0, error)
+    shift, error = float(shifts[0]), math.sqrt(spread[0, 0])
+    return (shift, error) if abs(shift) > SHIFTED * error else (0.0, error)
+
+
+def _by_instruments(
+    columns: FloatArray, instruments: FloatArray, response: FloatArray, numbers: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """Coefficients (C,) of ``columns`` (N, C), and their covariance by the scatter of presses."""
+    inverse = np.linalg.pinv(instruments.T @ columns, rcond=1e-13)
+    found = inverse @ (instruments.T @ response)
+    scores = np.zeros((int(numbers.max()) + 1, columns.shape[1]))
+    np.add.at(scores, numbers, instruments * (response - columns @ found)[:, None])
+    influence = scores @ inverse.T
+    return found, influence.T @ influence * len(scores) / (len(scores) - 1)
+
+
+def _p_of_none(found: FloatArray, spread: FloatArray, presses: int) -> float:
+    """Hotelling's p that none of the coefficients (C,) with covariance ``spread`` is other than 0.
+
+    Source: Hotelling 1931, The generalization of Student's ratio, Ann. Math. Stat. 2.
+    """
+    count, statistic = len(found), float(found @ np.linalg.pinv(spread) @ found)
+    rest = presses - count
+    return float(fdtrc(count, rest, statistic * rest / (count * (presses - 1))))
 
 
 def begins_elsewhere(log: PressLog, trials: Sequence[int]) -> bool:

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
-from tacgen.calibrate.contact.align import align
+from tacgen.calibrate.contact.align import align, shift_beside_effects
 from tacgen.calibrate.contact.command import calibrate_contact
 from tacgen.calibrate.contact.law_fit import fit_contact
 from tacgen.cli import app
@@ -90,13 +90,51 @@ def test_the_same_presses_give_one_law_whatever_they_come_with(tmp_path, form):
         assert diagnosis.law.k_n_mm3_per_n == law.k_n_mm3_per_n
 
 
+def effect(name: str) -> dict[str, object]:
+    return {"name": name, "channel": "normal", "strength": 4.0}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["stiffening", "hysteresis", "creep"])
-def test_an_effect_is_found_by_depths_too(tmp_path, name):
-    effect = {"name": name, "channel": "normal", "strength": 4.0}
-    in_form("noise", 44, [effect]).to_csv(tmp_path / "log.csv", index=False)
-    found = diagnose_log(tmp_path / "log.csv", tmp_path / "diagnosis").channels["normal"]
-    assert name in found.effect_names
+@pytest.mark.parametrize(
+    ("form", "name"),
+    [
+        ("noise", "hysteresis"),
+        ("noise", "creep"),
+        ("counted late", "creep"),
+        ("noise", "stiffening"),
+        ("zero off", "stiffening"),
+    ],
+)
+def test_an_effect_is_found_by_depths_too(tmp_path, form, name):
+    in_form(form, 44, [effect(name)]).to_csv(tmp_path / "log.csv", index=False)
+    found = diagnose_log(tmp_path / "log.csv", tmp_path / "diagnosis")
+    assert found.channels["normal"].effect_names == (name,)
+    # A fast creep is partly taken for compliance.
+    assert found.law.k_n_mm3_per_n.value == pytest.approx(K_N, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("names", "form", "shift_mm"),
+    [
+        ((), "zero off", None),
+        (("creep",), "noise", 0.0),
+        (("creep",), "zero off", -0.05),
+        (("creep",), "counted late", 0.04),
+        (("hysteresis",), "zero off", -0.05),
+        (("stiffening",), "noise", 0.0),
+        (("stiffening",), "zero off", -0.05),
+        (("creep", "stiffening"), "zero off", -0.05),
+    ],
+)
+def test_a_zero_is_told_from_what_the_gel_does(tmp_path, names, form, shift_mm):
+    """One shift of all depths beside effects, to 3 µm; without any, of each press by itself."""
+    log = read(in_form(form, 46, [effect(name) for name in names]), tmp_path)
+    found = shift_beside_effects(align(log, free_contact_point=False)[0], log.trials.tolist())
+    if shift_mm is None:
+        assert found is None
+    else:
+        assert found[0] == pytest.approx(shift_mm, abs=0.003)
+        assert 0.0005 < found[1] < 0.003
 
 
 @pytest.mark.slow
