@@ -128,8 +128,9 @@ def read_press_folder(
         table = _read_list(table_path, required, ball_radius_mm, problems)
     elif not needs_list:
         table = pd.DataFrame({"file": pictures, "radius_mm": float(ball_radius_mm or 0.0)})
-        radii = table["radius_mm"].to_numpy()[:1]
-        problems += _radius_problems(radii, table, Path("--ball-radius-mm"), True)
+        first = table.iloc[:1]
+        radius = first["radius_mm"].to_numpy()
+        problems += _radius_problems(radius, first, Path("--ball-radius-mm"), True)
         if not pictures:
             problems.append(f"{path}: no picture beside the background; add the presses")
     PressError.raise_if(problems)
@@ -300,7 +301,7 @@ def _read_sensor(
 def _read_list(
     path: Path, required: tuple[str, ...], ball_radius_mm: float | None, problems: list[str]
 ) -> pd.DataFrame:
-    """``presses.csv`` with every column; its first press is in row 2 of the file."""
+    """``presses.csv`` with every column."""
     frame = read_table(path).cells
     if ball_radius_mm is not None:
         frame = frame.assign(radius_mm=str(ball_radius_mm))
@@ -309,35 +310,34 @@ def _read_list(
     problems += cells
     if "trial" in numbers:
         problems += trial_number_problems(numbers["trial"], path, frame.index)
-    frame = frame.reset_index(drop=True)
     if "radius_mm" in numbers:
         problems += _radius_problems(numbers["radius_mm"], frame, path, "radius_mm" in required)
     if "file" in frame:
         problems += _file_problems(frame["file"], path)
-    return frame.assign(**numbers)
+    return frame.assign(**numbers).reset_index(drop=True)
 
 
 def _radius_problems(
     radii: FloatArray, frame: pd.DataFrame, path: Path, required: bool
 ) -> Iterator[str]:
     smallest, largest = BALLS_MM
-    for index, radius in enumerate(radii):
-        where = f"{path}: row {index + 2}: radius_mm"
+    for radius, (row, cell) in zip(radii, frame["radius_mm"].items(), strict=True):
+        where = f"{path}: row {row}: radius_mm"
         if radius < smallest or radius > largest:
             fix = f"give the radius in mm, {smallest:g} to {largest:g}"
             yield f"{where} = {radius:g} is not a ball's; {fix}"
-        elif np.isnan(radius) and required and not str(frame["radius_mm"].iloc[index]).strip():
+        elif required and not cell:
             yield f"{where} is empty; give the ball's radius in mm"
 
 
 def _file_problems(names: pd.Series, path: Path) -> Iterator[str]:
     repeated = names.duplicated()
-    for index, name in enumerate(names):
-        where = f"{path}: row {index + 2}"
+    for row, name in names.items():
+        where = f"{path}: row {row}"
         if not name:
             yield f"{where}: file is empty; name the press's picture"
-        elif repeated.iloc[index]:
+        elif repeated[row]:
             yield f"{where}: {name} is listed twice; list each press once"
         elif not os.path.isfile(path.parent / name):  # is_file raises on names too long
-            missing = f"{path.parent / name}: missing (row {index + 2} of presses.csv)"
+            missing = f"{path.parent / name}: missing (row {row} of presses.csv)"
             yield f"{missing}; add the picture or delete the row"

@@ -331,3 +331,12 @@ def test_labels_stand_where_a_camera_clips_most_of_the_contact(presses):
     used = usable_presses(replace(clipped, images=brighter))
     assert "its labelled centre is" in "\n".join(used.warnings)
     assert used.found.all()
+
+
+def test_rows_of_the_list_are_counted_as_an_editor_counts_lines(tmp_path, presses):
+    folder = write_folder(tmp_path / "p", presses)
+    listing = folder / "presses.csv"
+    header, first, *rest = listing.read_text().splitlines()
+    listing.write_text("\n".join(["# rig 2", header, first, "", first, *rest]))
+    with pytest.raises(PressError, match=r"row 5: .* is listed twice"):
+        read_presses(folder)
