@@ -146,7 +146,11 @@ def _sides(surface: Mesh, center_y_mm: float, reach_mm: float) -> tuple[tuple[fl
 
 
 def faces_pads(surface: Mesh) -> bool:
-    """Whether both pads meet the thickest part of its body within what all sensors see."""
+    """Whether it fits between the open fingers, as a mug does whose handle is not under one, and
+    both pads meet the thickest part of its body within what all sensors see.
+    """
+    if np.ptp(surface.vertices_mm[:, 0]) > _widest_mm():
+        return False
     _, middle_mm = _sides(surface, 0.0, np.inf)
     return any(_meets_window(surface, middle_mm, z_mm) for z_mm in _heights(surface))
 

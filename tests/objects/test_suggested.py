@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 from tacgen.cli import app
 from tacgen.collection.recipe import load_recipe
 from tacgen.core.records import Mesh
-from tacgen.objects.add import add_object
+from tacgen.objects.add import _turned, add_object
 from tacgen.objects.grasp_ranges import FORCES_N, _heights, faces_pads, suggest_places, suggest_yaw
 from tacgen.objects.showing import is_shown
 from tacgen.objects.trial import SUCCESSES, _mixed
@@ -57,6 +57,19 @@ def test_a_mug_is_held_by_its_body_and_not_by_the_middle_of_its_bounding_box():
     assert min(abs(y - axis_mm) for y in ranges["y_mm"]) <= 1.0
     # A domed pad beside the axis touches beside its own middle by 30/(30 + 40) of the distance.
     assert max(abs(y - axis_mm) for y in ranges["y_mm"]) < 7.0 * 70.0 / 30.0
+
+
+def test_a_mug_is_not_turned_for_its_handle():
+    """The middle of its bounding box is 19 mm off its axis, where other angles would suit."""
+    assert _turned(surface_of(mug()), None)[::2] == (0.0, [])
+
+
+def test_a_mug_whose_handle_lies_under_a_finger_is_turned():
+    """118 mm with its handle do not fit between the fingers, which would meet its rim alone."""
+    across = trimesh.transformations.rotation_matrix(np.pi / 2, [0, 0, 1])
+    yaw_rad, _, notes = _turned(surface_of(mug().apply_transform(across)), None)
+    assert np.degrees(abs(yaw_rad)) > 25.0  # a finger is 20 mm wide, and beside the handle
+    assert "turned by" in notes[0]
 
 
 @pytest.mark.slow
