@@ -1,6 +1,6 @@
 """What residuals still follow, and how sure a gain is, from one number for each held-out unit."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,15 +56,18 @@ def followed_by_rank(
     return tuple(sorted(found, key=lambda one: (-one.gain, one.covariate)))
 
 
-def resampled_squares(
-    before: FloatArray, after: FloatArray, count: int, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
-    """Means (count,) of squared errors (U,) over units drawn again, for an interval."""
+def gain_interval_95(
+    before: FloatArray,
+    after: FloatArray,
+    gain: Callable[[FloatArray, FloatArray], FloatArray],
+    count: int,
+    rng: np.random.Generator,
+) -> tuple[float, float]:
+    """The middle 95 % of a ``gain`` of RMS errors, by ``count`` resamplings of the units.
+
+    ``before`` and ``after`` (U,) are squared errors; ``gain`` is of arrays (count,) of their roots.
+    """
     drawn = rng.integers(0, len(before), size=(count, len(before)))
-    return before[drawn].mean(axis=1), after[drawn].mean(axis=1)
-
-
-def interval_95(values: FloatArray) -> tuple[float, float]:
-    """The middle 95 % of values (count,)."""
-    low, high = np.quantile(values, [0.025, 0.975])
+    rms = (np.sqrt(np.maximum(one[drawn].mean(axis=1), 1e-300)) for one in (before, after))
+    low, high = np.quantile(gain(*rms), [0.025, 0.975])
     return float(low), float(high)

@@ -28,13 +28,20 @@ class ContactRules(SearchRules):
     min_rows: int = 4800  # in all where trials are few
     min_trials_as_units: int = 16  # with fewer, parts of trials are what tests resample
     min_units: int = 36  # about so many parts of trials then
+    min_samples: int = 4  # of a trial: what two second differences need
+    refit_rows_per_trial: int = 1000  # in the last fit: software smooths samples, not means
 
     # Held-out trials
     n_shuffles: int = 999  # sign flips, permutations or resamplings of trials in each test
+    local_flips: int = 9999  # of the test of effects in a part: its p is multiplied by their number
+    trials_per_test_trial: int = 4  # one in so many is held out
+    max_draws: int = 20  # of test trials, where few trials have load
+    n_folds: int = 10  # of whole trials in cross-validation
 
     # Which columns compete
     max_share_beside_load: float = 0.4  # of a condition's variation that load and time leave
     trials_per_level: int = 2  # of a text column that competes
+    min_cycles: float = 1.5  # of an oscillation: slower within the session is a drift
 
     # Numbers of the linear algebra
     ridge_at_fit: float = 0.05  # the same around a fit, where it keeps the fitted parameters
@@ -47,6 +54,10 @@ class ContactRules(SearchRules):
 
     min_trials_of_part: int = 4  # fewer say nothing together; of so few, parts are folds
     local_price: float = 0.05  # share by which an effect in a part must beat what acts everywhere
+    parts_of_side: int = 10  # in which all forms of a local effect are tried
+    local_forms_tried: int = 2  # of each local effect, in every part of their best side
+    max_local_columns: int = 3  # of a form that is looked at in every part
+    local_effects_fitted: int = 3  # in the part of the log where each is best
 
     # Which of two is kept
     parameter_price: float = 0.002  # share that a parameter, an exchange, a correction must gain
@@ -55,6 +66,8 @@ class ContactRules(SearchRules):
 
     # What remains
     form_share_left: float = 0.06  # of what is explained, that inexact formulas may leave
+    share_of_one_trial: float = 0.5  # of the residual in one trial: that is worth a look
+    max_explanations: int = 8  # of a channel, by held-out score, that next presses separate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,6 +154,7 @@ class OpticsRules(SearchRules):
     # a Gaussian of 1.5 pixels 0.52.
     clear_lead_in_se: float = 2.0  # A candidate whose lead is below this many standard errors is
     # replaced by one with fewer parameters; an effect whose gain over all presses is, is dropped.
+    resamplings: int = 2000  # of the test presses, for the interval of a gain
     min_objecting: int = 4  # Test presses whose mean gain must not be negative: those of fewer
     # differ by themselves.
     max_members: int = 4

@@ -25,7 +25,6 @@ from tacgen.diagnose.rules import CONTACT, ContactRules
 from tacgen.presses.press_log import SHEAR_MOTIONS, Columns
 
 TARGETS: dict[Channel, tuple[str, ...]] = {"normal": ("volume_mm3",), "shear": SHEAR_MOTIONS}
-N_FOLDS = 10  # of whole trials in cross-validation
 FLOOR_LAGS = (1, 2, 4, 8)  # samples, for second differences
 MAX_FLOOR_RISE = 1.1  # from one to the next: a load's course rises more than noise
 OUTLIER_SIGMAS = 7.0  # so far from its neighbours a sample has no weight
@@ -93,7 +92,7 @@ class ChannelData:
 
     def folds(self) -> NDArray[np.int64]:
         """Fold of each unit (U,): whole trials stay together unless there are hardly any."""
-        count, n_trials = N_FOLDS, self.history.n_trials
+        count, n_trials = self.rules.n_folds, self.history.n_trials
         if n_trials < self.rules.min_trials_of_part:
             return np.arange(self.n_units) % min(count, self.n_units)
         return self.unit_trial % min(count, n_trials)

@@ -21,13 +21,14 @@ from tacgen.core.files import refuse_other_page
 from tacgen.core.processes import map_in_processes
 from tacgen.core.records import Estimate
 from tacgen.core.resources import versions
+from tacgen.core.types import FloatArray
 from tacgen.diagnose.contact import heldout, result
 from tacgen.diagnose.contact.channel import TARGETS, ChannelData, ChannelSamples, noise_floor
 from tacgen.diagnose.contact.heldout import Errors
 from tacgen.diagnose.contact.model import Fit, Model, fit_model, standard_errors, without_noise_bias
 from tacgen.diagnose.contact.residuals import dependences
 from tacgen.diagnose.contact.search import Attribution, ContactProblem
-from tacgen.diagnose.evidence import Dependence
+from tacgen.diagnose.evidence import Dependence, gain_interval_95
 from tacgen.diagnose.markers.diagnose import diagnose_markers
 from tacgen.diagnose.record import write_record
 from tacgen.diagnose.rules import CONTACT, ContactRules
@@ -36,9 +37,6 @@ from tacgen.presses.press_log import PLAIN, SHEAR_FORCES, Columns
 
 SEED = 20220804  # any; results are repeatable
 FORCES: dict[Channel, tuple[str, ...]] = {"normal": ("force_normal_n",), "shear": SHEAR_FORCES}
-MIN_SAMPLES = 4  # of a trial: what two second differences need
-REFIT_ROWS_PER_TRIAL = 1000  # in the last fit: software smooths samples, not means
-MOST_DRAWS = 20  # of test trials, where few trials have load
 HELD_OUT = "a quarter of the trials, spread over the session, selection repeated without them"
 
 
@@ -184,8 +182,8 @@ class _Channel:
     @cached_property
     def split(self) -> tuple[ChannelSamples, ChannelSamples] | None:
         """Samples to fit and of the test trials; None where the load is in so few that none fit."""
-        for _ in range(MOST_DRAWS if self.every.history.n_trials > 1 else 0):
-            chosen = heldout.test_trials(self._columns, self._rng)
+        for _ in range(self._rules.max_draws if self.every.history.n_trials > 1 else 0):
+            chosen = heldout.test_trials(self._columns, self._rng, self._rules)
             out = np.isin(self._columns["trial"], chosen)
             fitted, test = (
                 ChannelSamples(
@@ -215,7 +213,7 @@ class _Channel:
             how, n_test = HELD_OUT, test.history.n_trials
             gp = self._gp_rmse(fitted, test, without.base.fit.model)
         before, after = self._test_errors(fitted, test, without)
-        data = every.thinned(REFIT_ROWS_PER_TRIAL)
+        data = every.thinned(self._rules.refit_rows_per_trial)
         base = _refitted(data, Model(attribution.base.fit.model.compliance))
         final = _refitted(data, attribution.final.fit.model)
         samples = every.every_sample()
@@ -235,7 +233,9 @@ class _Channel:
             before=before,
             after=after,
             scale=self._rms,
-            gain_interval=heldout.gain_interval(before, after, rng, rules),
+            gain_interval=gain_interval_95(
+                before.squares, after.squares, _reduction, rules.n_shuffles, rng
+            ),
             floor=noise_floor(left, samples.history.starts),
             n_spikes=int((every.precision == 0).sum()),
             gp_rmse=gp,
@@ -254,7 +254,7 @@ class _Channel:
         rows = test.every_sample()
         kept = rows.weight > 0
         found = []
-        data = fitted.thinned(REFIT_ROWS_PER_TRIAL)
+        data = fitted.thinned(self._rules.refit_rows_per_trial)
         for fit in (attribution.base.fit, attribution.final.fit):
             model = _refitted(data, fit.model).model
             residual = rows.target - model.law_response(rows)
@@ -265,6 +265,10 @@ class _Channel:
         data, rows = fitted.thinned(), test.every_sample()
         left, test_left = (d.target - linear.law_response(d) for d in (data, rows))
         return heldout.gp_rmse(data, left, rows, test_left, self._rng)
+
+
+def _reduction(before: FloatArray, after: FloatArray) -> FloatArray:
+    return np.asarray(1.0 - after / before)
 
 
 def _refitted(data: ChannelData, start: Model) -> Fit:
@@ -350,11 +354,11 @@ def _usable_columns(
     names = (*targets, *forces, "force_normal_n", "time_s")
     known = np.logical_and.reduce([np.isfinite(columns[name]) for name in names])
     numbers, counts = np.unique(np.asarray(columns["trial"])[known], return_counts=True)
-    long_enough = np.isin(columns["trial"], numbers[counts >= MIN_SAMPLES])
+    long_enough = np.isin(columns["trial"], numbers[counts >= rules.min_samples])
     kept = heldout.select(columns, known & long_enough)
     load = kept[forces[0]]
     if not np.any(load != 0):
-        return None, f"{refusal} no trial has {MIN_SAMPLES} samples under load"
+        return None, f"{refusal} no trial has {rules.min_samples} samples under load"
     pairs = zip(forces, targets, strict=True)
     if sum(float((kept[force] * kept[name]).sum()) for force, name in pairs) <= 0:
         return None, (

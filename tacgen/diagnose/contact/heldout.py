@@ -15,11 +15,9 @@ from scipy.spatial.distance import cdist
 from tacgen.core.types import BoolArray, FloatArray
 from tacgen.diagnose.contact.channel import ChannelData
 from tacgen.diagnose.contact.residuals import covariates_of
-from tacgen.diagnose.evidence import interval_95, resampled_squares
 from tacgen.diagnose.rules import ContactRules
 from tacgen.presses.press_log import Columns
 
-TRIALS_PER_TEST_TRIAL = 4  # one in so many is held out
 _MAX_ROWS = 700  # of the training set: its kernel matrix is factored nine times
 _LENGTHS, _NOISES = (1.0, 2.0, 4.0), (0.03, 0.2, 0.8)
 """Tried by marginal likelihood, in standard deviations of the covariates and of the residual."""
@@ -33,7 +31,7 @@ class Errors:
     squares: FloatArray
 
 
-def test_trials(columns: Columns, rng: np.random.Generator) -> NDArray[Any]:
+def test_trials(columns: Columns, rng: np.random.Generator, rules: ContactRules) -> NDArray[Any]:
     """Trials to hold out: one of every four in the order of the session.
 
     Neighbours in time are on both sides, and so is every part of the session; the first trial
@@ -44,7 +42,7 @@ def test_trials(columns: Columns, rng: np.random.Generator) -> NDArray[Any]:
     start = np.asarray(columns["time_s"])[first]
     ordered = numbers[np.lexsort((numbers, start))]
     chosen = []
-    count = TRIALS_PER_TEST_TRIAL
+    count = rules.trials_per_test_trial
     for begin in range(0, ordered.size, count):
         group = ordered[begin : begin + count]
         low = 1 if begin == 0 else 0
@@ -63,14 +61,6 @@ def errors(residual: FloatArray, trial: FloatArray) -> Errors:
     _, inverse = np.unique(trial, return_inverse=True)
     squares = np.bincount(inverse, (residual**2).mean(axis=1)).astype(np.float64)
     return Errors(float(np.sqrt(squares.sum() / inverse.size)), squares)
-
-
-def gain_interval(
-    before: Errors, after: Errors, rng: np.random.Generator, rules: ContactRules
-) -> tuple[float, float]:
-    """95 % interval of 1 − error_after/error_before, by resampling the held-out trials."""
-    drawn = resampled_squares(before.squares, after.squares, rules.n_shuffles, rng)
-    return interval_95(1.0 - np.sqrt(drawn[1] / np.maximum(drawn[0], 1e-300)))
 
 
 def features(fit_data: ChannelData, test_data: ChannelData) -> tuple[FloatArray, FloatArray]:

@@ -20,10 +20,6 @@ from tacgen.diagnose.contact.model import Fit
 
 BORDERED: tuple[WhereColumn, ...] = ("trial", "x_mm", "y_mm")
 EVERYWHERE = Where("trial", above=-1e300)
-PARTS_OF_SIDE = 10  # in which all forms are tried
-EFFECTS_FITTED = 3  # in the part of the log where each is best
-FORMS_TRIED = 2  # of each effect, in every part of their best side
-MOST_COLUMNS = 3  # of a form that is looked at in every part
 
 
 @dataclass(frozen=True)
@@ -84,7 +80,7 @@ class _Screen:
     def __init__(self, data: ChannelData, fit: Fit, effects: Sequence[Effect]) -> None:
         self._data, self._rules = data, data.rules
         found = effect_candidates(data, fit.model, [e.only(EVERYWHERE) for e in effects])
-        self.forms = [one for one in found if one.columns.shape[1] <= MOST_COLUMNS]
+        self.forms = [one for one in found if one.columns.shape[1] <= self._rules.max_local_columns]
         columns = [one.columns for one in self.forms]
         self._grams, self._groups, self._base = scores.fit_grams(data, fit, columns)
         self._least = min(fit.loss, data.least_loss)
@@ -126,17 +122,17 @@ def best_local(
     Only those that leave less than ``most``. All forms are tried in some parts of every side, the
     best of each effect in all parts of that side.
     """
-    screen = _Screen(data, fit, effects)
+    screen, rules = _Screen(data, fit, effects), data.rules
     names = [one.name for one in screen.forms]
     sides: dict[tuple[str, bool], list[Part]] = {}
     for part in parts:
         sides.setdefault((part.where.column, part.where.up_to < np.inf), []).append(part)
-    coarse = [p for side in sides.values() for p in side[:: -(-len(side) // PARTS_OF_SIDE)]]
+    coarse = [p for side in sides.values() for p in side[:: -(-len(side) // rules.parts_of_side)]]
     rough = screen.losses(coarse, range(len(names)))
     found: list[tuple[float, int, Where]] = []
     tried: list[str] = []
     for form in map(int, np.argsort(rough.min(axis=0))):
-        if tried.count(names[form]) < FORMS_TRIED:
+        if tried.count(names[form]) < rules.local_forms_tried:
             tried.append(names[form])
             where = coarse[int(np.argmin(rough[:, form]))].where
             side = sides[where.column, where.up_to < np.inf]
@@ -152,7 +148,7 @@ def best_local(
             label = screen.forms[form].label.replace(str(EVERYWHERE), str(where))
             local = effect_candidates(data, fit.model, [effect.only(where)])
             same += [one for one in local if one.label == label]
-    return [one for same in list(best.values())[:EFFECTS_FITTED] for one in same]
+    return [one for same in list(best.values())[: rules.local_effects_fitted] for one in same]
 
 
 def local_p_value(

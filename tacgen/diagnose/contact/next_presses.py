@@ -30,7 +30,6 @@ from tacgen.presses.press_log import Columns
 
 SEED = 0x9E55  # of shuffles on which no proposal depends
 ROWS_PER_PRESS = 30  # that a press is averaged to: its loading, hold and unloading in ten each
-MOST_EXPLANATIONS = 8  # explanations of a channel, the best by held-out score, that are separated
 
 
 @dataclass(frozen=True)
@@ -137,7 +136,7 @@ def _explanations(sets: ContactProblem, attribution: Attribution) -> list[Fitted
         for candidate in (candidate for candidate in best.values() if candidate.is_effect):
             larger = sets.add(one, [candidate])
             found.setdefault(larger.names, larger)
-    return sorted(found.values(), key=sets.score)[:MOST_EXPLANATIONS]
+    return sorted(found.values(), key=sets.score)[: sets.rules.max_explanations]
 
 
 def _with_presses(

@@ -16,7 +16,6 @@ from tacgen.diagnose.contact.scores import score_weights, sign_flips
 
 _MAX_POINTS = 1 << 17
 """Most ticks of the search's clock; longer sessions are searched for slower oscillations only."""
-MIN_CYCLES = 1.5  # slower within the session is a drift
 ROWS_PER_PERIOD = 4  # of the shortest oscillation
 _POINTS_PER_PERIOD = 8  # four times what sampling needs: the peak is not missed
 _AT_ONCE = 8  # flips whose spectra are computed together: faster, and little memory
@@ -80,9 +79,9 @@ def find_oscillations(data: ChannelData, fit: Fit, rng: np.random.Generator) -> 
     session = max(float(time.max()), history.sample_period_s)
     flips = sign_flips(history.n_trials, _SLOW_FLIPS, rng)
     middle = 0.5 * history.n_trials / session
-    slow_hz = np.arange(MIN_CYCLES / session, middle, 0.25 / session)
+    slow_hz = np.arange(data.rules.min_cycles / session, middle, 0.25 / session)
     slow_waves = _direct(np.bincount(trial, time) / np.bincount(trial), slow_hz)
-    fast_hz, fast_waves = _fourier(data, time, max(middle, MIN_CYCLES / session))
+    fast_hz, fast_waves = _fourier(data, time, max(middle, data.rules.min_cycles / session))
     slow, fast = list[_Search](), list[_Search]()
     for how in HOWS:
         rows = _products(data, fit, how)

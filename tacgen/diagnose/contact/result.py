@@ -23,8 +23,6 @@ from tacgen.diagnose.markers.diagnose import MarkerDiagnosis
 from tacgen.diagnose.record import finite
 from tacgen.presses.press_log import PressLog
 
-MOST_OF_ALL = 0.5  # of the residual in one trial: that is worth a look
-
 
 @dataclass(frozen=True)
 class ChannelDiagnosis(record.Summarised):
@@ -288,7 +286,7 @@ def _trial_that_is_off(found: ChannelDiagnosis) -> int | None:
     if data.few_trials or not is_much:
         return None
     worst = int(np.argmax(losses))
-    if losses[worst] < MOST_OF_ALL * left:
+    if losses[worst] < rules.share_of_one_trial * left:
         return None
     return int(data.history.trial[data.history.starts[data.unit_trial[worst]]])
 

@@ -40,7 +40,6 @@ from tacgen.diagnose.engine import (
 )
 from tacgen.diagnose.rules import ContactRules
 
-LOCAL_FLIPS = 9999  # of the test of effects in a part, whose p is multiplied by their number
 _PROBE = 0.01  # of a free amount, where its effect on the response is asked
 
 
@@ -142,7 +141,8 @@ class ContactProblem(Problem[Candidate, FittedSet]):
         self._shuffled = scores.shuffles(data.unit_trial, self.rules.n_shuffles, rng)
         self._parts = [] if data.few_trials else parts_of(data)
         self._local_effects = local_effects(data, self.effects) if self._parts else []
-        self._local_signs = scores.sign_flips(data.n_units, LOCAL_FLIPS if self._parts else 0, rng)
+        n_flips = self.rules.local_flips if self._parts else 0
+        self._local_signs = scores.sign_flips(data.n_units, n_flips, rng)
         self._fits: dict[tuple[str, ...], FittedSet] = {}
         self._pools: dict[tuple[str, ...], Pool] = {}
         self._p_values: dict[tuple[tuple[str, ...], int], dict[str, float]] = {}

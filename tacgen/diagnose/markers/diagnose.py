@@ -24,7 +24,7 @@ from tacgen.diagnose.markers.problem import (
     SHIFTED,
     TURNED,
     FrictionProblem,
-    GridProblem,
+    Grid,
     free,
     squares,
 )
@@ -141,8 +141,8 @@ def diagnose_markers(
     friction = FrictionProblem(data, fit, rules)
     steps = search(friction, friction.fitted(()))
     slip = reached(steps)
-    grid = GridProblem(data, fit, rules, slip.grip)
-    beside = reached(search(grid, grid.fitted(()))).members
+    grid = Grid(data.tracks)
+    beside = grid.needed(friction, slip.grip)
     order = [*slip.members, *beside]
     # Errors and gains on presses that neither fitting nor choosing saw.
     losses = []
@@ -202,9 +202,7 @@ def _unexplained(
     return followed_by_rank(left, known, groups, rules.alpha, rules.n_shuffles, rng)[:1]
 
 
-def _parameters(
-    name: str, grip: Slip, stderr: dict[str, float], grid: GridProblem
-) -> dict[str, Estimate]:
+def _parameters(name: str, grip: Slip, stderr: dict[str, float], grid: Grid) -> dict[str, Estimate]:
     """An effect's parameters."""
     if name == PARTIAL_SLIP:
         return {"friction": Estimate(grip.friction, stderr["grip"] * grip.friction**2, "1")}

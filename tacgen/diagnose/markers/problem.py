@@ -1,4 +1,4 @@
-"""The field of marker motion as a problem of the one search: friction first, then the grid.
+"""The field of marker motion: friction as a problem of the one search, and the grid of the dots.
 
 The base is a field that sticks everywhere, of dots that lie where the sensor's file has them. It
 lacks ``partial_slip`` (the contact's rim slips), ``friction_place`` (a place with other friction),
@@ -35,17 +35,22 @@ class FieldSet:
     loss: float
 
 
-class _OfField(Problem[str, FieldSet]):
-    """What the searches of friction and of the grid have in common; sets are told by names."""
+class FrictionProblem(Problem[str, FieldSet]):
+    """Slip of the contact's rim, and a place with other friction, beside a field that sticks."""
 
     rules: MarkerRules
 
     def __init__(self, data: FieldData, which: Sequence[int], rules: MarkerRules) -> None:
         self.data, self.which, self.rules = data, which, rules
+        self._grips: dict[frozenset[str], Slip] = {}
 
     def fitted(self, names: Sequence[str]) -> FieldSet:
-        """The effects of these names, fitted."""
-        raise NotImplementedError
+        """The effects of these names, fitted once; beside slip a place may come out better."""
+        key = frozenset(names)
+        if key not in self._grips:
+            self._grips[key] = self._fit(key)
+        grip = self._grips[key]
+        return FieldSet(tuple(names), grip, self._loss(grip))
 
     def add(self, current: FieldSet, more: Sequence[str]) -> FieldSet:
         """The effects of both, fitted."""
@@ -63,22 +68,6 @@ class _OfField(Problem[str, FieldSet]):
         """Whether the member explains that share of what the others leave."""
         rest = self.without(full, member)
         return rest.loss - full.loss >= self.least_gain(rest)
-
-
-class FrictionProblem(_OfField):
-    """Slip of the contact's rim, and a place with other friction, beside a field that sticks."""
-
-    def __init__(self, data: FieldData, which: Sequence[int], rules: MarkerRules) -> None:
-        super().__init__(data, which, rules)
-        self._grips: dict[frozenset[str], Slip] = {}
-
-    def fitted(self, names: Sequence[str]) -> FieldSet:
-        """Fit each set once; beside slip the place may come out better than alone."""
-        key = frozenset(names)
-        if key not in self._grips:
-            self._grips[key] = self._fit(key)
-        grip = self._grips[key]
-        return FieldSet(tuple(names), grip, self._loss(grip))
 
     def _fit(self, names: frozenset[str]) -> Slip:
         data, which = self.data, self.which
@@ -163,30 +152,28 @@ class FrictionProblem(_OfField):
         return fit_slip(data, fit, min(fitted, key=self._loss), free(names))
 
 
-class GridProblem(_OfField):
-    """Dots at rest that are turned or shifted, beside a field whose friction is known."""
+class Grid:
+    """How the dots at rest are turned and shifted, and what of both is needed beside a field."""
 
-    def __init__(
-        self, data: FieldData, which: Sequence[int], rules: MarkerRules, grip: Slip
-    ) -> None:
-        super().__init__(data, which, rules)
-        self._grip, self._linear = grip, data.linear(grip, which)
-        self.turn_rad, self.shift_mm, self.errors = grid_of(data.tracks)
+    def __init__(self, tracks: MarkerTracks) -> None:
+        self._tracks = tracks
+        self.turn_rad, self.shift_mm, self.errors = grid_of(tracks)
 
-    def fitted(self, names: Sequence[str]) -> FieldSet:
-        """Turn and shift are those of the dots at rest: nothing is fitted."""
-        ordered = tuple(one for one in (TURNED, SHIFTED) if one in names)
-        offset, data = self.offset_mm(names), self.data
-        loss = sum(squares(data, one, self._grip, self._linear, offset) for one in self.which)
-        return FieldSet(ordered, self._grip, float(loss))
+    def needed(self, problem: FrictionProblem, grip: Slip) -> list[str]:
+        """Those without which the error is clearly larger; nothing of them is fitted."""
+        data, linear = problem.data, problem.data.linear(grip, problem.which)
 
-    def pool(self, current: FieldSet) -> list[tuple[str, float]]:
-        """What is not in the set yet."""
-        return [(one, inf) for one in (TURNED, SHIFTED) if one not in current.members]
+        def loss(*names: str) -> float:
+            offset = self.offset_mm(names)
+            return sum(squares(data, one, grip, linear, offset) for one in problem.which)
+
+        both, least = loss(TURNED, SHIFTED), 1.0 - problem.rules.min_gain
+        others = {TURNED: SHIFTED, SHIFTED: TURNED}
+        return [name for name, other in others.items() if both < least * loss(other)]
 
     def offset_mm(self, names: Sequence[str]) -> FloatArray:
         """By how much dots at rest (M, 2) lie beside their places, these effects taken away."""
-        tracks = self.data.tracks
+        tracks = self._tracks
         grid = turned(tracks.grid_mm, self.turn_rad * (TURNED in names))
         return np.asarray(tracks.rest_mm - grid - self.shift_mm * (SHIFTED in names))
 

@@ -13,7 +13,7 @@ from tacgen.core.errors import PressError
 from tacgen.core.resources import __version__
 from tacgen.core.types import FloatArray
 from tacgen.diagnose import record
-from tacgen.diagnose.evidence import Dependence, interval_95, resampled_squares
+from tacgen.diagnose.evidence import Dependence, gain_interval_95
 from tacgen.diagnose.optics.fit import Known, Model, PressFit, typical
 from tacgen.diagnose.optics.rendering import views_of
 from tacgen.diagnose.optics.residuals import dependences
@@ -31,8 +31,6 @@ from tacgen.optics.effects import (
 from tacgen.optics.table import LookupTable
 from tacgen.presses.experiments import ranked
 from tacgen.presses.press_images import PressImages
-
-RESAMPLINGS = 2000  # of the test presses
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,8 +115,7 @@ class OpticsDiagnosis(record.Summarised):
         """95 % interval of the gain in RMSE, by bootstrap over the test presses."""
         before, after = self.before.squares, self.after.squares
         rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(len(before),)))
-        drawn = resampled_squares(before, after, RESAMPLINGS, rng)
-        return interval_95(np.sqrt(drawn[0]) - np.sqrt(drawn[1]))
+        return gain_interval_95(before, after, np.subtract, self.test_fit.rules.resamplings, rng)
 
     @property
     def summary(self) -> record.Summary:

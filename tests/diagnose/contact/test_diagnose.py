@@ -16,6 +16,7 @@ from tacgen.core.errors import PressError
 from tacgen.diagnose.contact.command import SEED, diagnose
 from tacgen.diagnose.contact.heldout import test_trials as trials_to_hold_out
 from tacgen.diagnose.contact.result import diagnosis_record
+from tacgen.diagnose.rules import CONTACT
 from tests.contact.effects.test_registry import press_columns
 from validation.contact.cases import blank_log, make_case
 
@@ -182,7 +183,7 @@ def test_parameters_of_a_linear_law_are_covered_by_their_errors():
 def test_errors_are_of_a_law_that_is_chosen_without_the_held_out_trials():
     """The gel stiffens in the presses that are fitted, and softens as much in those held out."""
     columns = few_columns(press_columns(32, 24, 0) | {"volume_mm3": np.zeros(768)})
-    held_out = trials_to_hold_out(columns, np.random.default_rng(SEED))
+    held_out = trials_to_hold_out(columns, np.random.default_rng(SEED), CONTACT)
     bend = np.where(np.isin(columns["trial"], held_out), 0.02, -0.02) * columns["force_normal_n"]
     noise = 0.05 * np.random.default_rng(0).normal(size=bend.size)
     columns["volume_mm3"] = 4.0 * columns["force_normal_n"] * (1 + bend) + noise
@@ -301,10 +302,9 @@ def test_the_only_trial_with_load_stays_in_the_fit(loaded):
     assert found.after.rmse < 1.5 * noise["shear"]
 
 
-def test_where_no_trial_can_be_held_out_that_is_said(monkeypatch):
+def test_where_no_trial_can_be_held_out_that_is_said():
     columns, _ = case([], n_trials=10, n_samples=40)
-    monkeypatch.setattr("tacgen.diagnose.contact.command.MOST_DRAWS", 0)
-    diagnosis = diagnose(few_columns(columns))
+    diagnosis = diagnose(few_columns(columns), rules=replace(CONTACT, max_draws=0))
     found = diagnosis.channels["normal"]
     assert (found.how, found.n_test) == ("none could be: only noise is left without them", 0)
     assert any("hardly any trial has load" in note for note in diagnosis.notes)
