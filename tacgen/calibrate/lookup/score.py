@@ -163,9 +163,7 @@ class PressRenderer:
         top, bottom, left, right = grown(window, shader.slope_reach_px, shape)
         rows, columns = np.arange(top, bottom, dtype=float), np.arange(left, right, dtype=float)
         x_mm, y_mm = place_mm(columns, rows[:, None], shape, self.table.mm_per_px)
-        self._height_mm[top:bottom, left:right] = model.height(
-            geometry, ball_radius_mm, x_mm, y_mm
-        )
+        self._height_mm[top:bottom, left:right] = model.height(geometry, ball_radius_mm, x_mm, y_mm)
         shader.light(self._height_mm, window, self._image)
         shader.finish(self._height_mm, window, self._image)
 

@@ -19,9 +19,9 @@ class SelectionRules:
     """Every fourth press is kept from fitting and choosing: a quarter, spread over the session."""
     folds: int = 5
     """Folds of whole presses; as many as ``tacgen calibrate lookup`` scores a table on."""
-    reach_radii: float = 1.5
-    """Pixels up to here from a centre belong to the contact: its rim lies within."""
-    pixels_per_press: int = 400
+    reach_radii: float = 2.2
+    """Pixels up to here from a centre belong to the contact: a lamp's shadow lies within."""
+    pixels_per_press: int = 800
     """On an even lattice; more cost time and change no name."""
     bare_beyond_radii: float = 2.2
     """From here on the gel is bare, as for the calibration's drift."""
@@ -56,6 +56,12 @@ class SelectionRules:
     least_gain_per_parameter: float = 0.018
     """5 % of the error, and more for what can bend to a table's errors of form: clean presses gain
     up to 0.1 by a shadow and 0.25 by the nine shares of a camera's colours."""
+    least_gain_of_rigid: float = 0.05
+    """For what geometry gives its form: clean simulated presses gain up to 0.02 by a near lamp's
+    shadow or the gel's skirt, four measured sets 0.05 to 0.2."""
+    least_gain_grey: float = 0.08
+    """Of the error, grey levels: clean simulated presses gain 0.07, by the skirt of their own
+    renderer, which is no exponential."""
     clear_gain_in_se: float = 3.0
     """Standard errors that a gain must exceed: what harms the first presses is not on all."""
     least_gain_of_places: float = 0.65

@@ -210,6 +210,11 @@ def _is_worth(fit: PressFit, one: Scored, n_tried: int) -> bool:
     if candidate.evident:
         return one.gain > 0
     least = rules.least_gain + rules.least_gain_per_parameter * len(candidate.shared)
+    if candidate.rigid:
+        least = rules.least_gain_of_rigid
+        before_grey = one.rmse * math.exp(0.5 * one.gain)
+        if before_grey - one.rmse < rules.least_gain_grey:
+            return False
     if candidate.each:
         place = _kind(candidate)[0] == Known.PLACE
         least = rules.least_gain_of_places if place else rules.least_gain_of_exposures

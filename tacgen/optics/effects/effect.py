@@ -145,6 +145,8 @@ class OpticalCandidate:
         Whether it grows over the session: what else changes all presses alike cannot look so.
     evident : bool
         Whether something beside the error shows it: it is not one of many that are tried.
+    rigid : bool
+        Whether geometry gives its form, which bends to no other error of a table.
     """
 
     effect: str
@@ -154,6 +156,7 @@ class OpticalCandidate:
     starts: tuple[Mapping[str, float], ...] = (MappingProxyType({}),)
     over_session: bool = False
     evident: bool = False
+    rigid: bool = False
 
 
 class OpticalEffect:

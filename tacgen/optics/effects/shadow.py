@@ -1,6 +1,5 @@
 """Cast shadows: where the gel's own relief hides a light."""
 
-import itertools
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -19,11 +18,13 @@ DEFAULT_STRENGTH = 0.8
 PENUMBRA_MM = 0.2
 """How far a ray must pass below the relief for its light to be hidden whole: a light 2 mm wide,
 25 mm away, behind an edge 2.5 mm away."""
+NEAR_PENUMBRA_MM = 0.5
+"""Of lamps that stand near: the same light 10 mm away."""
 
 LENGTHS_MM = (1.0, 2.0, 4.0, 7.0)
 """Shadows of 1 mm of relief that a fit tries: lights 45° to 8° above the gel."""
-LAMP_DISTANCES_MM = (0.0, 10.0)
-"""From the gel's middle: far away, and near as the lamps of a sensor are."""
+NEAR_START = MappingProxyType({"length_mm": 2.0, "lamp_distance_mm": 10.0})
+"""Where a fit of near lamps begins: beside the gel, half as high as they are far."""
 FIRST_STRENGTH = 0.4
 """Where a fit begins: half of what is expected of a lamp at a side."""
 
@@ -130,7 +131,7 @@ def cast_shadow(
     ]
     shade = np.zeros(height_mm.shape, dtype=np.float32)
     across = np.zeros(height_mm.shape[::-1], dtype=np.float32)
-    lamp = away_mm * abs(z) / flat, 1 / PENUMBRA_MM
+    lamp = away_mm * abs(z) / flat, 1 / (NEAR_PENUMBRA_MM if lamp_distance_mm else PENUMBRA_MM)
     found = _sweep(height_mm, *lamp_px, *lamp, shade)
     if _sweep(np.ascontiguousarray(height_mm.T), *lamp_px[::-1], *lamp, across):
         shade += across.T
@@ -279,13 +280,19 @@ class Shadow(base.OpticalEffect):
             )
 
     def candidates(self, scene: base.PressScene) -> list[base.OpticalCandidate]:
-        """A strength for each colour, and one of a few lengths, of lamps far away or near."""
-        strengths = {f"strength_{c}": self.parameters[f"strength_{c}"] for c in base.CHANNELS}
-        starts = tuple(
-            {**dict.fromkeys(strengths, FIRST_STRENGTH), "length_mm": x, "lamp_distance_mm": d}
-            for x, d in itertools.product(LENGTHS_MM, LAMP_DISTANCES_MM)
-        )
-        return [base.OpticalCandidate(self.name, "cast by the dent", strengths, starts=starts)]
+        """Of lamps far away one strength, and one of a few lengths; of near ones all of it."""
+        far = {"strength": self.parameters["strength"]}
+        starts = tuple({"strength": FIRST_STRENGTH, "length_mm": x} for x in LENGTHS_MM)
+        near = {f"strength_{c}": self.parameters[f"strength_{c}"] for c in base.CHANNELS}
+        start = {**dict.fromkeys(near, FIRST_STRENGTH), **NEAR_START}
+        near["length_mm"] = base.OpticalParameter(0.0, 0.5, 8.0, "mm", step=0.1)
+        near["lamp_distance_mm"] = base.OpticalParameter(0.0, 4.0, 40.0, "mm", step=0.5)
+        return [
+            base.OpticalCandidate(self.name, "cast by the dent", far, starts=starts),
+            base.OpticalCandidate(
+                self.name, "cast by the dent, lamps near", near, starts=(start,), rigid=True
+            ),
+        ]
 
 
 SHADOW = base.register(Shadow())

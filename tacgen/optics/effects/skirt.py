@@ -28,7 +28,8 @@ class Skirt(base.OpticalEffect):
 
     def candidates(self, scene: base.PressScene) -> list[base.OpticalCandidate]:
         """One curve for all presses and colours."""
-        return [base.OpticalCandidate(self.name, "one curve for all colours", self.parameters)]
+        one = "one curve for all colours"
+        return [base.OpticalCandidate(self.name, one, self.parameters, rigid=True)]
 
 
 base.register(Skirt())
