@@ -26,8 +26,8 @@ class Membrane:
     decay_mm: float  # over which the slope falls off by 1/e outside the contact
     sharpness: float = 8.0  # of the joint of the two pieces: large is a kink, 2 a wide shoulder
     slope_factors: tuple[tuple[float, float], ...] = ()
-    """Contact radii, rising, and what the slope is multiplied by there; 1 inside the contact, linear
-    between, and beyond the last as there."""
+    """Contact radii, rising, and what the slope is multiplied by there; 1 inside the contact,
+    linear between, and beyond the last as there."""
 
 
 def rest_slope(

@@ -87,6 +87,11 @@ class SelectionRules:
     least_gain_of_condition: float = 0.1
     """For a pattern on the gel, and a line in a condition of the presses: by those clean presses
     gain up to 0.48 and 0.09."""
+    least_structure_grey: float = 1.0
+    """Root mean square of a pattern of distance and direction: less lies in clean simulated
+    presses, 0.7, whose renderer's skirt is no exponential."""
+    rings: int = 10
+    """Distances from a contact that such a pattern has values at: a quarter of its radius apart."""
     cells: int = 16
     """Along each side of the image, in which a mark on the gel is looked for: a millimetre."""
     held_presses: float = 2.0
