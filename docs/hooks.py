@@ -23,7 +23,7 @@ from tacgen.contact.effects import all_effects
 from tacgen.core import records
 from tacgen.core.resources import packaged
 from tacgen.core.schema import kind_of, read_yaml
-from tacgen.diagnose.contact.rules import SelectionRules
+from tacgen.diagnose.rules import ContactRules, SearchRules
 from tacgen.objects.description import ObjectDescription
 from tacgen.sensor.description import _SensorYaml
 
@@ -178,7 +178,8 @@ def _effects() -> str:
 
 def _rules() -> str:
     """The thresholds of the contact diagnosis, each with the reason that stands beside it."""
-    lines = re.findall(r"^    (\w+): .* = (.*)  # (.+)$", inspect.getsource(SelectionRules), re.M)
+    source = inspect.getsource(ContactRules) + inspect.getsource(SearchRules)
+    lines = re.findall(r"^    (\w+): .* = (.*)  # (.+)$", source, re.M)
     rows = [f"| `{name}` | {value} | {reason} |" for name, value, reason in lines]
     return "\n".join(["| rule | value | reason |", "|---|---|---|", *rows])
 

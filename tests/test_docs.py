@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from docs import hooks
 from tacgen.cli import app
 from tacgen.contact.effects import all_effects
-from tacgen.diagnose.contact.rules import SelectionRules
+from tacgen.diagnose.rules import ContactRules
 
 ROOT = Path(__file__).resolve().parents[1]
 FILE = re.compile(r'```yaml title="(.+?)"\n(.*?)```', re.S)
@@ -130,7 +130,7 @@ def test_the_site_builds_without_a_warning(tmp_path):
     assert "V = k<sub>n</sub> F<sub>n</sub>" in page  # in prose, but not in code
     assert "k_n = 5.1341" in page
     page = (tmp_path / "reference" / "rules" / "index.html").read_text(encoding="utf-8")
-    for rule in fields(SelectionRules):
+    for rule in fields(ContactRules):
         assert f"<code>{rule.name}</code>" in page
 
 

@@ -376,8 +376,8 @@ def test_no_pickle_is_run(tmp_path, name):
 
 def test_files_without_end(tmp_path, monkeypatch):
     """The limits are lowered: files beyond them take seconds to write."""
-    monkeypatch.setattr(lab_table, "MAX_CELLS", 60)
-    monkeypatch.setattr(lab_table, "MAX_BYTES", 1000)
+    small = replace(lab_table.LOG, max_cells=60, max_bytes=1000)
+    monkeypatch.setattr(lab_table, "LOG", small)
     header, row = "trial,time_s,force_normal_n,volume_mm3\n", "1,0.5,1,5\n"
     path = tmp_path / "log.csv"
     for text, words in (
@@ -422,7 +422,7 @@ def test_a_datapack_that_unfolds_is_refused_before_it_does(tmp_path):
 def test_a_parquet_log_without_end(tmp_path, monkeypatch):
     pytest.importorskip("pyarrow")
     path = READERS["press log parquet"].make(tmp_path)
-    monkeypatch.setattr(lab_table, "MAX_CELLS", 60)
+    monkeypatch.setattr(lab_table, "LOG", replace(lab_table.LOG, max_cells=60))
     with pytest.raises(PressError, match="100 cells, more than 60"):
         read_press_log(path)
 

@@ -200,7 +200,9 @@ def _turned(surface: Mesh, yaw_rad: float | None) -> tuple[float, Mesh, list[str
     if yaw_rad:
         surface = placed(surface, rotation_about_z(-yaw_rad))
     heights = [share * float(np.ptp(surface.vertices_mm[:, 2])) for share in (0.25, 0.5, 0.75)]
-    better_rad = suggest_yaw(surface, heights)
+    center_mm, _ = mass_properties([(surface, 1.0)], 1.0)  # of a mug its body, not its handle
+    about_center = Mesh(surface.vertices_mm - [*center_mm[:2], 0.0], surface.faces)
+    better_rad = suggest_yaw(about_center, heights)
     if better_rad and yaw_rad is None and not faces_pads(surface):
         surface = placed(surface, rotation_about_z(-better_rad))
         notes.append(

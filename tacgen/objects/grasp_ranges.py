@@ -57,6 +57,7 @@ _ARM_MM = torsion_arm_mm(
 ellipsoid of ``torsion_factor``. It grows slowly with the force, by its fourth root."""
 RIM_MM = 3.0  # from a pad's middle to an edge: inside the window, and the face under the middle
 CANDIDATES = 9  # of each axis, of which those are taken that show something
+SIDES = 25  # of which the candidates are taken: of a lying banana's length pads meet a fifth
 ENOUGH_PLACES = 5
 MOST_VALUES = {"y_mm": 5, "z_mm": 3}  # of the candidates that are tried, which takes seconds
 FIRM_N = 25.0  # what a grasp may need that is far from the centre of mass
@@ -75,14 +76,21 @@ def suggest_places(
     """
     slip_n = mass_kg * STANDARD_GRAVITY_M_S2 / (2 * max(friction, 0.05))
     reach_mm = _ARM_MM * math.sqrt(max((FIRM_N / slip_n) ** 2 - 1.0, 0.0))
-    sides, middle = _sides(surface, center_y_mm, reach_mm)
-    ranges = {"force_n": FORCES_N, "x_mm": (0.0,), "y_mm": sides, "z_mm": _heights(surface)}
-    places = set(itertools.product(sides, ranges["z_mm"]))
-    met = {place for place in places if _meets_window(surface, *place)}
-    met = met or {place for place in places if graspable(surface, *place)}
-    if not met:
+    every_side, thickest = _sides(surface, center_y_mm, reach_mm)
+    ranges = {"force_n": FORCES_N, "x_mm": (0.0,), "y_mm": (thickest,), "z_mm": _heights(surface)}
+    few = _thinned(ranges["z_mm"], MOST_VALUES["z_mm"])
+    for meets in (_meets_window, graspable):
+        sides = tuple(y for y in every_side if any(meets(surface, y, z) for z in few))
+        if sides:
+            break
+    else:
         note = "no place at which the pads meet it across x; set grasp_ranges by hand"
-        return {**ranges, "y_mm": (middle,)}, [note]
+        return ranges, [note]
+    middle = min(sides, key=lambda y: abs(y - thickest))
+    sides = tuple(sorted({middle, *_thinned(sides, CANDIDATES)}))
+    ranges["y_mm"] = sides
+    places = set(itertools.product(sides, ranges["z_mm"]))
+    met = {place for place in places if meets(surface, *place)}
     needed_n = {y: slip_n * math.hypot(1.0, (y - center_y_mm) / _ARM_MM) for y in sides}
     shown, kept, notes = set[tuple[float, float]](), None, list[str]()
     for share in SHARES:
@@ -109,7 +117,9 @@ def _heights(surface: Mesh) -> tuple[float, ...]:
     half_mm, palm_mm = gripper.hand.box.half_and_center_mm
     fingers_mm = float(palm_mm[2] - half_mm[2])
     lowest_mm = max(gripper.lowest_mm, top_mm - fingers_mm + MARGIN_MM)
-    return _distinct(np.linspace(lowest_mm, max(lowest_mm, top_mm - RIM_MM), CANDIDATES))
+    evenly_mm = np.linspace(lowest_mm, max(lowest_mm, top_mm - RIM_MM), CANDIDATES)
+    # The uppermost vertex of a scan is not always of the face that a pad meets.
+    return _distinct(sorted({*evenly_mm, max(lowest_mm, top_mm - 2 * RIM_MM)}))
 
 
 def _sides(surface: Mesh, center_y_mm: float, reach_mm: float) -> tuple[tuple[float, ...], float]:
@@ -131,13 +141,16 @@ def _sides(surface: Mesh, center_y_mm: float, reach_mm: float) -> tuple[tuple[fl
     middle_mm = float(np.clip(thickest_mm, *within))
     first_mm = min(max(body_mm.min() + RIM_MM, within[0]), middle_mm)
     last_mm = max(min(body_mm.max() - RIM_MM, within[1]), middle_mm)
-    steps = np.linspace(0.0, 1.0, CANDIDATES // 2 + 1)
-    sides = [middle_mm + steps * (end_mm - middle_mm) for end_mm in (first_mm, last_mm)]
-    return _distinct(np.sort(np.concatenate(sides))), _distinct([middle_mm])[0]
+    sides = _distinct(sorted({*np.linspace(first_mm, last_mm, SIDES), middle_mm}))
+    return sides, _distinct([middle_mm])[0]
 
 
 def faces_pads(surface: Mesh) -> bool:
-    """Whether both pads meet the thickest part of its body within what all sensors see."""
+    """Whether it fits between the open fingers, as a mug does whose handle is not under one, and
+    both pads meet the thickest part of its body within what all sensors see.
+    """
+    if np.ptp(surface.vertices_mm[:, 0]) > _widest_mm():
+        return False
     _, middle_mm = _sides(surface, 0.0, np.inf)
     return any(_meets_window(surface, middle_mm, z_mm) for z_mm in _heights(surface))
 

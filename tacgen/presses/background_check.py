@@ -11,35 +11,7 @@ from tacgen.optics.dots import coarse, printed_dots
 from tacgen.optics.same_view import alignment, apart_grey, other_view
 from tacgen.presses.circles import Circle, change_in, drift_free_change, find_circle
 from tacgen.presses.press_images import PressImages
-
-MIN_PRESSES = 3  # fewer cannot separate light from place
-
-COMPARED_WIDTH_PX = 80  # of pictures compared with a background: light and crop show at any size
-
-OTHER_PICTURE = 2.0, 1.5
-"""A picture is looked at where its bare gel differs from the background, in grey levels, by more
-than this many times the lower quartile of all pictures, and so many more. Within five measured sets
-the factor is below 1.5, between any two of them above 2.5."""
-
-OTHER_BACKGROUND = 1.6, 1.0
-"""The same for the median of the presses against what single presses differ from it by."""
-
-UNEXPLAINED = 0.5
-"""Of the variation of the bare gel's light over the picture: a background that leaves so much of
-it unexplained, and shares no fine texture, is of another gel, sensor or crop. Within seven sets at
-most 0.3 is left, between two sensors 0.3 to 2.5."""
-
-BACKGROUND_MIN_PRESSES = 5  # a median of fewer pictures shows the contacts themselves
-MOVED_SHARE = 0.4  # a background with a contact is a press if so many presses lie elsewhere
-PRESS_STRENGTH = 0.3
-"""And where its contact changes the picture at least this much of what theirs do: 0.04 for presses
-that overlap, 0.45 to 3 for a press (rig and three real sensors)."""
-ALIKE_AT_REST, OWN_STRENGTH, MIN_ALIKE = 0.1, 0.5, 3
-"""It is proven where so many presses show the gel there alike, off from their median by less than
-this share of the squares that the background is off by, while each of them differs from it at
-another place too, by this much of what it does there: by its own contact. Presses that overlap
-differ from the background at one place only."""
-BEYOND_PLACE = 1.5  # radii: another place
+from tacgen.presses.rules import IMAGES
 
 
 def check_background(presses: PressImages) -> tuple[dict[int, str], list[str]]:
@@ -51,19 +23,19 @@ def check_background(presses: PressImages) -> tuple[dict[int, str], list[str]]:
     # What a camera clips in the presses is no other background.
     clipped = np.minimum(presses.background, presses.images.max())
     height, width = presses.shape_px
-    size = (COMPARED_WIDTH_PX, max(8, round(COMPARED_WIDTH_PX * height / width)))
+    size = (IMAGES.compared_width_px, max(8, round(IMAGES.compared_width_px * height / width)))
     rest = coarse(clipped, size, None)
     small = [coarse(image, size, None) for image in presses.images]
     apart = np.array([apart_grey(image, rest) for image in small])
     strangers: dict[int, str] = {}
     doubts: list[str] = []
-    if len(presses) >= BACKGROUND_MIN_PRESSES:
+    if len(presses) >= IMAGES.background_min_presses:
         doubts = _check_median(replace(presses, background=clipped), small, rest)
-    factor, more = OTHER_PICTURE
+    factor, more = IMAGES.other_picture
     odd = np.nonzero(apart > factor * np.quantile(apart, 0.25) + more)[0]
     usual = np.argsort(apart)[: len(presses) // 2 + 1]
     lit = []
-    for k in odd.tolist() if len(presses) >= MIN_PRESSES else []:
+    for k in odd.tolist() if len(presses) >= IMAGES.min_presses else []:
         if wrong := other_view(presses.images[k], clipped):
             strangers[k] = f"does not match the background: {wrong}"
         elif alignment(presses.images[k], clipped).is_same:
@@ -107,7 +79,7 @@ def _check_median(presses: PressImages, small: list[FloatArray], rest: FloatArra
     Raises ``PressError`` where it is proven to be of another view, gel or sensor, or a press.
     """
     median = np.median(small, axis=0).astype(np.float32)
-    mismatch, (factor, more) = apart_grey(median, rest), OTHER_BACKGROUND
+    mismatch, (factor, more) = apart_grey(median, rest), IMAGES.other_background
     scatter = float(np.median([apart_grey(image, median) for image in small]))
     at_rest = np.asarray(np.median(presses.images, axis=0), dtype=np.uint8)
     if wrong := other_view(presses.background, at_rest):
@@ -122,7 +94,8 @@ def _check_median(presses: PressImages, small: list[FloatArray], rest: FloatArra
         )
         bare = np.median(np.abs(median - np.median(median, axis=(0, 1))), axis=(0, 1))
         unexplained = mismatch / max(float(np.median(bare)), 1e-9)
-        if unexplained > UNEXPLAINED and not alignment(presses.background, at_rest).is_same:
+        is_other = unexplained > IMAGES.unexplained_share
+        if is_other and not alignment(presses.background, at_rest).is_same:
             raise PressError(text)
         return [text]
     if printed_dots(presses.background) is not None:
@@ -150,14 +123,14 @@ def _contact_in_background(presses: PressImages) -> list[str]:
         np.hypot(*(circle.center_px - place.center_px)) > max(circle.radius_px, place.radius_px)
         for circle, _ in seen
     ]
-    if not seen or np.mean(elsewhere) < MOVED_SHARE:
+    if not seen or np.mean(elsewhere) < IMAGES.moved_share:
         return []
     usual = float(np.median([change_in(image, median, circle) for circle, image in seen]))
-    if change_in(presses.background, median, place) <= PRESS_STRENGTH * usual:
+    if change_in(presses.background, median, place) <= IMAGES.press_strength_share * usual:
         return []
     x, y = place.center_px
     away = np.stack([image for (_, image), far in zip(seen, elsewhere, strict=True) if far])
-    if _alike_at_rest(away, presses.background, place) >= MIN_ALIKE:
+    if _alike_at_rest(away, presses.background, place) >= IMAGES.min_alike:
         fix = "it is a press itself; take it anew with nothing on the gel"
         msg = f"the background shows a contact at ({x:.0f}, {y:.0f}): {fix}"
         raise PressError(msg)
@@ -176,10 +149,10 @@ def _alike_at_rest(images: NDArray[np.uint8], background: NDArray[np.uint8], pla
     rows, columns = np.indices((height, width))
     x, y = (place.center_px + 0.5) * scale - 0.5
     distance = np.hypot(columns - x, rows - y) / (place.radius_px * scale)
-    inside, beyond = changes[:, distance <= 1], changes[:, distance > BEYOND_PLACE]
+    inside, beyond = changes[:, distance <= 1], changes[:, distance > IMAGES.beyond_place_radii]
     usual = np.median(inside, axis=0)
-    is_alike = ((inside - usual) ** 2).sum(axis=(1, 2)) < ALIKE_AT_REST * (usual**2).sum()
+    is_alike = ((inside - usual) ** 2).sum(axis=(1, 2)) < IMAGES.alike_share * (usual**2).sum()
     here, there = (
         np.quantile(np.linalg.norm(part, axis=2), 0.99, axis=1) for part in (inside, beyond)
     )
-    return int((is_alike & (there > OWN_STRENGTH * here)).sum())
+    return int((is_alike & (there > IMAGES.own_strength_share * here)).sum())

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tacgen.contact.gel import gel_map_mm
-from tacgen.contact.indentation import contact_depth, solve_indentation
+from tacgen.contact.ball import GelLattice
 from tacgen.contact.shear import dilation_mm
 from tacgen.contact.shear_field import TOLERANCE
 from tacgen.core.records import Sensor
@@ -31,34 +30,21 @@ class BallShear:
     """The shear field of one sensor's gel under balls; ``decay_mm`` as of ``ShearField``."""
 
     def __init__(self, sensor: Sensor, decay_mm: float) -> None:
-        gel, s = GelShear(sensor), sensor.mm_per_px
+        gel = GelShear(sensor)
         self.field, self.cell_mm2 = gel.field(decay_mm), gel.cell_mm2
-        self._sensor = sensor
-        self._gel_mm = gel_map_mm(sensor)[EVERY // 2 :: EVERY, EVERY // 2 :: EVERY]
-        rows, columns = self._gel_mm.shape
-        fine_x = (np.arange(columns) * EVERY + EVERY // 2 - (sensor.width_px - 1) / 2) * s
-        fine_y = (np.arange(rows) * EVERY + EVERY // 2 - (sensor.height_px - 1) / 2) * s
-        self._fine_mm = np.stack(np.meshgrid(fine_x, fine_y), axis=-1)
-        self._fine_mm2 = (EVERY * s) ** 2
+        self._fine = GelLattice.of(sensor, EVERY)
         # The node that each point of the fine grid is nearest to.
         nodes = self.field.nodes_mm
-        at_x = np.abs(fine_x[:, None] - nodes[0, :, 0]).argmin(axis=1)
-        at_y = np.abs(fine_y[:, None] - nodes[:, 0, 1]).argmin(axis=1)
+        at_x = np.abs(self._fine.x_mm[:, None] - nodes[0, :, 0]).argmin(axis=1)
+        at_y = np.abs(self._fine.y_mm[:, None] - nodes[:, 0, 1]).argmin(axis=1)
         self._node = at_y[:, None] * nodes.shape[1] + at_x[None, :]
 
     def depth_mm(self, radius_mm: float, center_mm: FloatArray, volume_mm3: float) -> FloatArray:
         """Mean indentation (rows, columns) of the lattice's cells by a ball, mm."""
         shape = self.field.nodes_mm.shape[:2]
-        away = ((self._fine_mm - center_mm) ** 2).sum(axis=-1)
-        below = away < radius_mm**2
-        if volume_mm3 <= 0 or not below.any():
-            return np.zeros(shape)
-        gap = np.full(away.shape, np.inf)
-        gap[below] = -np.sqrt(radius_mm**2 - away[below]) - self._gel_mm[below]
-        delta = solve_indentation(gap, volume_mm3, self._fine_mm2)
-        depth = contact_depth(gap, min(delta, float(gap.min()) + self._sensor.gel_depth_mm))
+        depth = self._fine.ball_depth_mm(radius_mm, center_mm, volume_mm3)
         total = np.bincount(self._node.ravel(), depth.ravel(), shape[0] * shape[1])
-        return np.asarray(total.reshape(shape) * self._fine_mm2 / self.cell_mm2)
+        return np.asarray(total.reshape(shape) * self._fine.cell_mm2 / self.cell_mm2)
 
     def dilation_mm(self, points_mm: FloatArray, depth_mm: FloatArray) -> FloatArray:
         """Motion (n, 2) of points away from an indentation (rows, columns)."""

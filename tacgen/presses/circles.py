@@ -12,43 +12,9 @@ from scipy.optimize import least_squares
 from tacgen.core.types import BoolArray, FloatArray
 from tacgen.optics.dots import coarse
 from tacgen.presses.geometry import Membrane, PressedGel
+from tacgen.presses.rules import IMAGES
 
-WORK_WIDTH_PX = 160  # images are looked at this wide: a circle needs no more
-
-DARK_GREY = 25.0
-"""Change is measured against the light at its place, plus this much: in dark corners too, a grey
-level of noise is no contact."""
-
-CLEAR_SIGMAS = 5.5
-"""A contact stands out of the picture's scatter by at least this many standard deviations: noise
-alone reaches 3.5, a contact whose surroundings fill half of the picture 6.5."""
-
-MIN_CHANGE_GREY = 6.0  # and by this much, so that a still camera makes no press of dust
-PATCH_SHARE = 0.2  # of the most changed pixels' change: what changed by as much is the patch
-
-EDGE_SHARE = 0.5
-"""The edge stands where a direction's change has fallen to this share of its own largest: lamps
-make some sides of a ball brighter than others, none of them wider."""
-
-RIM_SHARE = 0.9
-"""The contact ends where the mean of all directions, each on its own scale, is last this near to
-its largest: the gel is steepest at the rim and falls off beyond it."""
-
-DRIFT_DEGREE = 3  # of lamps' drift in place: 2 leaves corners bright, 4 follows wide contacts
-DRIFT_STEPS = 6  # of reweighting: a contact of a third of the image then moves it no longer
-SHADED_RADII, SHADED_PIXELS = 1.3, 400  # how far out, and on how many pixels, shading is fitted
-SHADED_BALL, SHADED_RIM, SHADED_START = 1.3, 0.4, 0.65
-"""Ball and decay of the slope beside it, in contact radii, and the contact that is tried first, in
-edge radii: what is off in them goes into the polynomial of the shading."""
 SHADING_POWERS = [(i, degree - i) for degree in (1, 2, 3) for i in range(degree + 1)]
-
-N_DIRECTIONS = 96  # every 3.75 degrees: some pixels apart at the rim
-PROFILE_STEP_PX = 0.25  # finer than the image resolves
-MIN_EDGE_DIRECTIONS = 0.4  # share of the directions in which an edge must be seen
-MAX_OUT_OF_ROUND = 0.15  # largest median distance of the edge from the circle, in radii
-
-SECOND_CONTACT = 0.4  # a second patch is a contact from this share of the largest one's area on
-SECOND_STRENGTH = 0.5  # share of the largest change; fainter patches are corners as lamps drift
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,20 +47,20 @@ def find_circle(
     rest = coarse(background, size, hidden)
     change = drift_free_change(image, background, hidden)
     nothing = Circle(np.full(2, np.nan), float("nan"), "shows no contact")
-    if _scatter_and_top(np.linalg.norm(change, axis=2))[2] < MIN_CHANGE_GREY:
+    if _scatter_and_top(np.linalg.norm(change, axis=2))[2] < IMAGES.min_change_grey:
         return nothing
     light = cv2.GaussianBlur(rest, (0, 0), 0.05 * size[0])
-    relative = change / (light + DARK_GREY)
+    relative = change / (light + IMAGES.dark_grey)
     strength = np.linalg.norm(relative, axis=2)
     middle, scatter, top = _scatter_and_top(strength)
-    if top < CLEAR_SIGMAS * scatter:
+    if top < IMAGES.clear_sigmas * scatter:
         return nothing
     strength = np.maximum(strength - middle, 0.0)
-    patch, others = _largest_patch(strength > max(PATCH_SHARE * top, 4.0 * scatter))
+    patch, others = _largest_patch(strength > max(IMAGES.patch_share * top, 4.0 * scatter))
     center, edge, problem = _circle_around(patch, strength, 4.0 * scatter)
     center = center if problem else _center_of_shading(relative, center, edge)
     radius = edge if problem else _rim_radius(strength, center, edge, 4.0 * scatter)
-    if others.any() and np.percentile(strength[others], 95) < SECOND_STRENGTH * top:
+    if others.any() and np.percentile(strength[others], 95) < IMAGES.second_strength_share * top:
         others = np.zeros_like(others)
     problem = problem or _problem(patch, others, center, radius)
     return Circle((center + 0.5) / scale - 0.5, radius / scale, problem, edge / scale)
@@ -112,7 +78,7 @@ def drift_free_change(
 def _work_size(image: NDArray[Any]) -> tuple[float, tuple[int, int]]:
     """Scale and size (width, height) of the pictures that are looked at."""
     height, width = image.shape[:2]
-    scale = min(1.0, WORK_WIDTH_PX / width)
+    scale = min(1.0, IMAGES.work_width_px / width)
     return scale, (max(8, round(width * scale)), max(8, round(height * scale)))
 
 
@@ -123,11 +89,11 @@ def _without_drift(change: FloatArray) -> FloatArray:
     """
     height, width = change.shape[:2]
     v, u = (part.ravel() for part in np.mgrid[-1 : 1 : height * 1j, -1 : 1 : width * 1j])
-    powers = range(DRIFT_DEGREE + 1)
-    basis = np.column_stack([u**i * v**j for i in powers for j in powers if i + j <= DRIFT_DEGREE])
+    powers = range(IMAGES.drift_degree + 1)
+    basis = np.column_stack([u**i * v**j for i in powers for j in powers if i + j in powers])
     values = change.reshape(-1, 3).astype(np.float64)
     rest: FloatArray = values - np.median(values, axis=0)
-    for _ in range(DRIFT_STEPS):
+    for _ in range(IMAGES.drift_steps):
         size = np.linalg.norm(rest, axis=1)
         scale = float(np.median(size)) + 1.0
         weight = 1.0 / (1.0 + (size / scale) ** 2) ** 2
@@ -167,11 +133,11 @@ def _circle_around(
         return center, radius, "shows no contact"
     for _ in range(3):
         points = _edge_points(strength, center, radius, least)
-        if len(points) < MIN_EDGE_DIRECTIONS * N_DIRECTIONS:
+        if len(points) < IMAGES.min_edge_directions * IMAGES.n_directions:
             return center, radius, "what changed is not round"
         fitted, off = _fit_circle(points, np.array([*center, radius]))
         center, radius = fitted[:2], float(abs(fitted[2]))
-    if off > MAX_OUT_OF_ROUND * radius:
+    if off > IMAGES.max_out_of_round_radii * radius:
         return center, radius, "what changed is not round"
     return center, radius, ""
 
@@ -182,21 +148,22 @@ def _center_of_shading(change: FloatArray, center: FloatArray, radius: float) ->
     For each centre and contact radius the change is a polynomial in the normal of the gel.
     """
     distance = np.hypot(*(np.indices(change.shape[:2]) - center[::-1, None, None]))
-    rows, columns = np.nonzero(distance < SHADED_RADII * radius)
-    some = slice(None, None, max(1, len(rows) // SHADED_PIXELS))
+    rows, columns = np.nonzero(distance < IMAGES.shaded_radii * radius)
+    some = slice(None, None, max(1, len(rows) // IMAGES.shaded_pixels))
     rows, columns, seen = rows[some], columns[some], change[rows[some], columns[some]]
     ridge = 1e-6 * len(seen) * np.eye(len(SHADING_POWERS))  # where a power is another's multiple
 
     def unexplained(ball: FloatArray) -> FloatArray:
         contact = abs(float(ball[2]))
-        gel = PressedGel(contact, SHADED_BALL * contact, Membrane(SHADED_RIM * contact, 4.0))
+        rim = Membrane(IMAGES.shaded_rim_radii * contact, 4.0)
+        gel = PressedGel(contact, IMAGES.shaded_ball_radii * contact, rim)
         gx, gy = gel.slope(columns - ball[0], rows - ball[1])
         nx, ny = np.stack([gx, gy]) / np.sqrt(1.0 + gx * gx + gy * gy)
         terms = np.stack([nx**i * ny**j for i, j in SHADING_POWERS])
         weights = np.linalg.solve(terms @ terms.T + ridge, terms @ seen)
         return np.asarray(seen - terms.T @ weights).ravel()
 
-    start = np.array([*center, SHADED_START * radius])
+    start = np.array([*center, IMAGES.shaded_start_edges * radius])
     found = least_squares(unexplained, start, diff_step=1e-3, max_nfev=10).x[:2]
     return found if np.hypot(*(found - center)) < 0.3 * radius else center
 
@@ -205,8 +172,8 @@ def _profiles(
     strength: FloatArray, center: FloatArray, radius: float
 ) -> tuple[FloatArray, FloatArray]:
     """The change along each direction (n, k), NaN out of view; and its largest (n,)."""
-    angle = 2 * np.pi * np.arange(N_DIRECTIONS) / N_DIRECTIONS
-    reach = np.arange(0.0, 2.2 * radius + 3.0, PROFILE_STEP_PX)
+    angle = 2 * np.pi * np.arange(IMAGES.n_directions) / IMAGES.n_directions
+    reach = np.arange(0.0, 2.2 * radius + 3.0, IMAGES.profile_step_px)
     x = center[0] + np.cos(angle)[:, None] * reach
     y = center[1] + np.sin(angle)[:, None] * reach
     height, width = strength.shape
@@ -224,18 +191,18 @@ def _edge_points(
     Directions without a clear change, and those whose edge lies out of view, are skipped.
     """
     profile, top = _profiles(strength, center, radius)
-    level = EDGE_SHARE * top
+    level = IMAGES.edge_share * top
     above = np.nan_to_num(profile, nan=np.inf) > level[:, None]
     # The first fall beyond the highest point of a direction.
     peak = np.argmax(np.nan_to_num(profile) == top[:, None], axis=1)
     fallen = ~above & (np.arange(profile.shape[1]) > peak[:, None])
     first = np.argmax(fallen, axis=1)
-    k = np.arange(N_DIRECTIONS)
+    k = np.arange(IMAGES.n_directions)
     clear = fallen.any(axis=1) & (top > least)
     before, after = profile[k, first - 1], profile[k, first]
     share = (before - level) / np.maximum(before - after, 1e-9)
-    edge = PROFILE_STEP_PX * (first - 1 + np.clip(share, 0.0, 1.0))
-    angle = 2 * np.pi * k / N_DIRECTIONS
+    edge = IMAGES.profile_step_px * (first - 1 + np.clip(share, 0.0, 1.0))
+    angle = 2 * np.pi * k / IMAGES.n_directions
     points = center + edge[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
     return np.asarray(points[clear])
 
@@ -248,8 +215,8 @@ def _rim_radius(strength: FloatArray, center: FloatArray, radius: float, least: 
     seen = np.isfinite(relative).sum(axis=0)
     mean = np.nansum(relative, axis=0) / np.maximum(seen, 1)
     mean[seen < 0.3 * clear.sum()] = 0.0
-    last = np.nonzero(mean >= RIM_SHARE * mean.max())[0][-1]
-    return float(PROFILE_STEP_PX * last)
+    last = np.nonzero(mean >= IMAGES.rim_share * mean.max())[0][-1]
+    return float(IMAGES.profile_step_px * last)
 
 
 def _fit_circle(points: FloatArray, start: FloatArray) -> tuple[FloatArray, float]:
@@ -271,7 +238,7 @@ def _problem(patch: BoolArray, second: BoolArray, center: FloatArray, radius: fl
         return "the contact's centre lies out of view"
     if radius > 0.45 * min(height, width):
         return "the change covers most of the image: the background does not match this press"
-    if second.sum() > SECOND_CONTACT * patch.sum():
+    if second.sum() > IMAGES.second_contact_share * patch.sum():
         return "shows more than one contact"
     return ""
 

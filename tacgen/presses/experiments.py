@@ -15,17 +15,8 @@ from scipy.spatial import cKDTree
 
 from tacgen.core.types import BoolArray, FloatArray, IntArray
 from tacgen.presses.press_images import PressImages
+from tacgen.presses.rules import IMAGES
 
-NEAR_PX = 1.0
-"""Presses whose circles, or whose stage's places and circles' radii, are as near as this are one:
-labels are set to whole pixels."""
-
-ALIKE = 0.1
-"""Pictures are of one press where what differs between them is less than this share of what either
-differs from the gel at rest by: a contact of 40 px moved by 2 px reaches it, camera noise of 1 grey
-level under a light touch stays at half of it."""
-
-COMPARED_WIDTH_PX, BLOCK_PX = 40, 8  # means over 8 × 8 pixels leave little of a camera's noise
 ROWS_AT_ONCE = 1000  # of the matrix of pictures against pictures
 
 
@@ -61,8 +52,8 @@ def grouped(
     ball = np.nan_to_num(ball_radius_mm)
     of_ball = 1e6 * ball[:, None]  # other balls are far away
     pairs = [
-        _near(np.hstack([circle_px, of_ball]), NEAR_PX),
-        _near(np.hstack([stage_px, circle_px[:, 2:], of_ball]), NEAR_PX),
+        _near(np.hstack([circle_px, of_ball]), IMAGES.near_px),
+        _near(np.hstack([stage_px, circle_px[:, 2:], of_ball]), IMAGES.near_px),
     ]
     if len(np.unique(trial[np.isfinite(trial)])) > 1:
         pairs.append(_near(np.hstack([trial[:, None], of_ball]), 0.0))
@@ -112,7 +103,7 @@ def _near(places: FloatArray, within: float) -> IntArray:
 def _alike(images: Iterable[NDArray[np.uint8]], background: NDArray[np.uint8]) -> IntArray:
     """Pairs (n, 2) of pictures that are equal but for noise."""
     height, width = background.shape[:2]
-    columns = max(2, min(COMPARED_WIDTH_PX, width // BLOCK_PX))
+    columns = max(2, min(IMAGES.compared_press_px, width // IMAGES.block_px))
     size = (columns, max(2, round(columns * height / width)))
     rest = _small(background, size)
     changes = np.stack([_small(image, size) - rest for image in images])
@@ -123,7 +114,7 @@ def _alike(images: Iterable[NDArray[np.uint8]], background: NDArray[np.uint8]) -
     for start in range(0, len(flat), ROWS_AT_ONCE):
         rows = slice(start, start + ROWS_AT_ONCE)
         apart = power[rows, None] + power - 2 * flat[rows] @ flat.T
-        same: BoolArray = apart < ALIKE**2 * np.minimum(power[rows, None], power)
+        same: BoolArray = apart < IMAGES.alike_press_share**2 * np.minimum(power[rows, None], power)
         one, other = np.nonzero(same)
         found.append(np.column_stack([one + start, other])[one + start < other])
     return np.concatenate(found)

@@ -21,12 +21,12 @@ from tacgen.core.errors import PressError, require_extra
 from tacgen.core.files import atomic_folder, is_file, read_small_text
 from tacgen.core.images import encode_png
 from tacgen.core.progress import print_status
-from tacgen.core.records import csv_problem
 from tacgen.core.safe_io import check_archive, decode_rgb, read_rgb
 from tacgen.core.types import BoolArray, FloatArray
-from tacgen.presses.background_check import MIN_PRESSES
 from tacgen.presses.circles import find_circle
+from tacgen.presses.lab_table import numeric_columns, read_table
 from tacgen.presses.press_folder import COORDINATES, STAGE
+from tacgen.presses.rules import IMAGES
 
 GS_SDK_MM_PER_PX = 0.0634
 """GelSight Mini at 320 × 240 px, from gs_sdk's ``gsmini.yaml`` (called ``ppmm`` there)."""
@@ -110,11 +110,11 @@ def import_presses(
     experiments = table["trial"].nunique() if "trial" in table else len(table)
     print_status(f"{found.n_rows} rows read, {len(rows)} pictures of {experiments} presses written")
     warnings = found.warnings
-    enough = experiments >= MIN_PRESSES
+    enough = experiments >= IMAGES.min_presses
     if not enough:
         fix = "press all over the gel, and import all presses of a sensor at once"
         few = f"{experiments} press{'es are' if experiments > 1 else ' is'} too few for a table"
-        warnings += (f"{few}, which needs at least {MIN_PRESSES}, better 30: {fix}",)
+        warnings += (f"{few}, which needs at least {IMAGES.min_presses}, better 30: {fix}",)
     return ImportedPresses(len(rows), found.notes, warnings, enough)
 
 
@@ -136,7 +136,7 @@ def read_gs_sdk(source: Path, mm_per_px: float | None, ball_radius_mm: float | N
     in ``catalog.csv``, centre (x, y) and radius of the contact, px, in ``label.npz``.
     """
     catalog = _table(source / "catalog.csv", ("experiment_reldir", "diameter(mm)"))
-    diameters = _numbers(catalog, "diameter(mm)", source / "catalog.csv")
+    diameters = _numbers(catalog, source / "catalog.csv", "diameter(mm)")["diameter(mm)"]
     others = [name for name in catalog if name not in ("diameter(mm)", "file", *COORDINATES)]
 
     def presses() -> Iterator[Press]:
@@ -180,8 +180,7 @@ def read_py3dcal(source: Path, mm_per_px: float | None, ball_radius_mm: float | 
     known = _json(folder / "metadata.json", ("px_per_mm", "probe_radius_mm"))
     radius_mm = ball_radius_mm or known["probe_radius_mm"]
     depth = "penetration_depth_mm"
-    named = {name: _numbers(table, name, folder / "annotations.csv") for name in
-             ("x_px", "y_px", depth, *STAGE) if name in table}  # fmt: skip
+    named = _numbers(table, folder / "annotations.csv", "x_px", "y_px", depth, *STAGE)
     depth_mm = np.abs(named.get(depth, np.full(len(table), np.nan)))
     notes = []
     unknown = int(np.isnan(depth_mm).sum())
@@ -241,7 +240,7 @@ def _contradicted(
         apart = np.hypot(seen.center_px[0] - x, seen.center_px[1] - y)
         sized = 1 - LABEL_OFF < ratios[-1] < 1 / (1 - LABEL_OFF)
         wrong[rows] = not sized or apart > LABEL_OFF * seen.edge_px
-    if not wrong.any() or checked < MIN_PRESSES:
+    if not wrong.any() or checked < IMAGES.min_presses:
         return np.zeros_like(wrong), ""
     share = len(np.unique(trial[wrong])) / checked
     median = f"at the median {np.median(ratios):.2f} times the radius seen in the picture"
@@ -398,9 +397,8 @@ def _pretrain_columns(
     """Columns of ``presses.csv`` for rows of balls, and notes on what they were made from."""
     radii, notes = _pretrain_radii(table, radius_mm, source)
     columns = pd.DataFrame({"radius_mm": radii})
-    forces = {
-        name: _numbers(table, name, source) for name in ("f_x", "f_y", "f_z") if name in table
-    }
+    read = table[[name for name in ("f_x", "f_y", "f_z") if name in table]].astype(object)
+    forces = _numbers(read.where(read.notna(), "").astype(str), source, *read)
     if "f_z" in forces and np.isfinite(forces["f_z"]).any():
         sign = -1.0 if np.nanmedian(forces["f_z"]) < 0 else 1.0
         columns["force_normal_n"] = sign * forces["f_z"]
@@ -483,30 +481,23 @@ def _inside(folder: Path, name: object) -> Path:
 
 
 def _table(path: Path, needed: tuple[str, ...]) -> pd.DataFrame:
-    try:
-        table = pd.read_csv(path, skipinitialspace=True)
-    except (OSError, ValueError) as error:
-        msg = f"{path}: cannot be read: {csv_problem(error)}; is this the right folder?"
-        raise PressError(msg) from None
+    """Cells of a list as text, as ``read_table`` reads them."""
+    if not is_file(path):
+        msg = f"{path}: cannot be read: no such file; is this the right folder?"
+        raise PressError(msg)
+    table = read_table(path).cells
     missing = [name for name in needed if name not in table]
     if missing:
-        msg = f"{path}: no column {', '.join(missing)}; it has {', '.join(map(str, table))}"
-        raise PressError(msg)
-    if not isinstance(table.index, pd.RangeIndex):
-        msg = f"{path}: its rows have more cells than its header; quote cells with commas"
+        msg = f"{path}: no column {', '.join(missing)}; it has {', '.join(table)}"
         raise PressError(msg)
     return table
 
 
-def _numbers(table: pd.DataFrame, name: str, where: Path) -> FloatArray:
-    """A column (N,) of numbers, NaN where it is empty."""
-    values = pd.to_numeric(table[name].astype(str), errors="coerce")
-    wrong = values.isna() & table[name].notna()
-    if wrong.any():
-        row = int(np.argmax(wrong.to_numpy()))
-        msg = f"{where}: row {row + 2}: {name} = {table[name].iloc[row]!r} is no number"
-        raise PressError(msg)
-    return np.asarray(values.to_numpy(np.float64))
+def _numbers(table: pd.DataFrame, path: Path, *names: str) -> dict[str, FloatArray]:
+    """Those columns (N,) of numbers that a table has, NaN where it is empty."""
+    numbers, problems = numeric_columns(table, path, names)
+    PressError.raise_if(problems)
+    return numbers
 
 
 def _json(path: Path, needed: tuple[str, ...]) -> dict[str, float]:

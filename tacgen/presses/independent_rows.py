@@ -22,22 +22,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.types import BoolArray, FloatArray, IntArray
+from tacgen.presses.rules import LOG
 
 CHANNELS = (
     (("force_normal_n", "volume_mm3"),),
     (("force_shear_x_n", "shear_x_mm"), ("force_shear_y_n", "shear_y_mm")),
 )
 """A force and its response each, by channel and axis."""
-MOST_ROWS = 20  # that noise is said to go on for
-LEAST_ROWS = 4  # that a typical trial keeps then: fewer have no course
-LEAST_TRIALS = 8  # to tell noise that goes on from what an effect leaves, which few presses share
-LEAST_RUNS = 20  # of readings that a judgement needs
-HELD_SHARE = 0.5  # of readings, between clear changes, that stand in two rows or more
-CLEAR_STEPS = 4.0  # of a column's resolution: by chance, a smaller change is often none
-MOVING_SHARE = 0.3  # of the other column's course that goes on while a reading stands
-WHITE_SHARE = 0.82  # of the noise of rows further apart that neighbours have if it is independent
-NOISE_SHARE = 0.4  # of second differences that fourth ones have, of noise; of a course, hardly any
-CORRELATED_SHARE = 0.5  # below it, neighbours' noise is correlated; brief correlation has 0.7
 
 
 def independent_rows(columns: Mapping[str, NDArray[Any]]) -> tuple[BoolArray, list[str]]:
@@ -76,7 +67,7 @@ class _Rows:
     @property
     def most_rows(self) -> int:
         """Most rows that noise may go on for, so that a typical trial keeps enough."""
-        return min(MOST_ROWS, int(np.median(np.diff(self.starts))) // LEAST_ROWS)
+        return min(LOG.most_rows, int(np.median(np.diff(self.starts))) // LOG.least_rows)
 
     def changes(self, name: str) -> BoolArray:
         """Rows (N,) with another value than the one before them, and first ones of trials."""
@@ -144,14 +135,14 @@ def _rows_of_a_reading(rows: _Rows, name: str, other: str) -> float:
     sizes = np.abs(np.r_[before, after])
     if not np.any(sizes > 0):
         return 0.0
-    least = CLEAR_STEPS * float(np.nanmin(sizes[sizes > 0]))
+    least = LOG.clear_steps * float(np.nanmin(sizes[sizes > 0]))
     length = last - first + 1
     common = np.unique(values[np.isfinite(values)], return_counts=True)
     rest = common[0][np.argmax(common[1])]  # no contact, say: exactly the same for long
     clear = (np.abs(before) > least) & (np.abs(after) > least) & (values[first[inner]] != rest)
     inner, moved = inner[clear], 0.5 * (before + after)[clear]
     count = length[inner]
-    if inner.size < LEAST_RUNS or (count > 1).mean() < HELD_SHARE:
+    if inner.size < LOG.least_runs or (count > 1).mean() < LOG.standing_share:
         return 0.0
     alone = rows.changes(other)
     inside = np.ones(values.size, dtype=bool)
@@ -161,7 +152,7 @@ def _rows_of_a_reading(rows: _Rows, name: str, other: str) -> float:
         expected = moved * (count - 1) / count
         slope = _slope(values, others)
         share = float(np.nansum(went * expected)) / max(float(np.nansum(expected**2)), 1e-300)
-        if not share * np.sign(slope) > MOVING_SHARE * abs(slope):
+        if not share * np.sign(slope) > LOG.moving_share * abs(slope):
             return 0.0
     return float(np.mean(count[count <= 2 * np.median(count)]))
 
@@ -176,7 +167,7 @@ def _correlated_noise(rows: _Rows) -> tuple[BoolArray, str]:
     """Every n-th row of each trial, where noise goes on for n rows."""
     count = max(_memory(_residuals(rows, channel), rows.most_rows) for channel in CHANNELS)
     keep = np.ones(len(rows.columns["trial"]), dtype=bool)
-    if count == 1 or rows.starts.size <= LEAST_TRIALS:
+    if count == 1 or rows.starts.size <= LOG.least_trials:
         return keep, ""
     place = np.arange(keep.size) - np.repeat(rows.starts[:-1], np.diff(rows.starts))
     keep = place % count == 0
@@ -246,14 +237,14 @@ def _memory(residuals: Sequence[FloatArray], most: int) -> int:
     def share(near: tuple[int, int], far: tuple[int, int], step: int = 1) -> float:
         return _noise_ratio([one[::step] for one in residuals], near, far)
 
-    is_correlated = max(share((1, order), (3, order)) for order in (2, 4)) < CORRELATED_SHARE
-    if not (is_correlated and share((2, 4), (2, 2)) > NOISE_SHARE):
+    is_correlated = max(share((1, order), (3, order)) for order in (2, 4)) < LOG.correlated_share
+    if not (is_correlated and share((2, 4), (2, 2)) > LOG.noise_share):
         return 1
     for count in range(2, most + 1):
         further = -(-7 * count // 5)
         of_all = [share((count, order), (further, order)) for order in (2, 4)]
         shares = share((1, 2), (2, 2), count), float(np.mean(of_all))
-        if any(one >= WHITE_SHARE for one in shares):
+        if any(one >= LOG.white_share for one in shares):
             return count
     return max(most, 1)
 
@@ -280,6 +271,6 @@ def _noise_ratio(
                 offsets = reach + lag * (np.arange(order + 1) - order // 2)
                 found.append(factors @ np.stack([values[i : i + rows] for i in offsets]))
         squares.append(np.concatenate(found) ** 2 / float(factors @ factors))
-    if squares[0].size < LEAST_RUNS or not np.median(squares[1]) > 0:
+    if squares[0].size < LOG.least_runs or not np.median(squares[1]) > 0:
         return float("nan")
     return float(np.median(squares[0]) / np.median(squares[1]))

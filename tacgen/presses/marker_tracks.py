@@ -20,13 +20,10 @@ from tacgen.optics.dots import LEAST_SEEN, dots_at_rest, follow
 from tacgen.presses.lab_table import numeric_columns, read_table
 from tacgen.presses.press_folder import PressFolder
 from tacgen.presses.press_log import PressLog
+from tacgen.presses.rules import LOG
 from tacgen.sensor.description import no_markers
 
 AT_REST = 0.02  # of a press's largest force: below it, its dots are where they rest
-JUMP = 0.5  # of the pitch: a dot this far off its neighbours' motion is another dot
-SAME_PLACE = 0.25  # of the pitch: two dots so near each other's places are swapped
-ROUNDS = 8  # of turning and shifting the grid onto the dots
-MAX_NAMED = 5  # frames that a warning spells out
 AXES = {
     "y is mirrored (it points up; rows count down): write (x, -y)": ((1, 0), (0, -1)),
     "x is mirrored: write (-x, y)": ((-1, 0), (0, 1)),
@@ -68,9 +65,9 @@ def read_marker_tracks(path: Path, sensor: Sensor, log: PressLog) -> MarkerTrack
     a dot is given twice, or the dots are not those of the sensor's grid.
     """
     grid = _grid_of(sensor)
-    table = read_table(path)
+    cells = read_table(path).cells
     names = ("press", "frame", "time_s", "marker", "x_px", "y_px", "x_mm", "y_mm")
-    numbers, problems = numeric_columns(table.columns, path, names, table.rows)
+    numbers, problems = numeric_columns(cells, path, names)
     for group in (("press",), ("frame", "time_s"), ("marker",), ("x_px", "x_mm"), ("y_px", "y_mm")):
         if not any(name in numbers for name in group):
             problems.append(
@@ -82,7 +79,7 @@ def read_marker_tracks(path: Path, sensor: Sensor, log: PressLog) -> MarkerTrack
     clock = numbers["frame" if by_frame else "time_s"]
     empty = ~np.isfinite(numbers["press"] + clock + numbers["marker"])
     if empty.any():
-        msg = f"{path}: row {table.rows[np.argmax(empty)]}: press, frame or marker is empty"
+        msg = f"{path}: row {cells.index[np.argmax(empty)]}: press, frame or marker is empty"
         raise PressError(msg)
     in_px = "x_px" in numbers
     xy = np.column_stack(
@@ -151,7 +148,7 @@ class _Names:
 
     def several(self, indices: IntArray) -> str:
         """Names of a few frames, and how many more there are."""
-        shown = [self(int(one)).removeprefix(f"{self.path}: ") for one in indices[:MAX_NAMED]]
+        shown = [self(int(one)).removeprefix(f"{self.path}: ") for one in indices[: LOG.max_listed]]
         more = len(indices) - len(shown)
         return "; ".join(shown) + (f"; and {more} more frames" if more else "")
 
@@ -199,8 +196,9 @@ def _joined(
         resting = np.abs(share) <= AT_REST
         if not resting.any():
             msg = (
-                f"{where.path}: no frame is of a gel at rest (force below {AT_REST:.0%} of the "
-                "press's largest): record each press from before contact"
+                f"{where.path}: no frame is of a gel at rest (force below "
+                f"{AT_REST:.0%} of the press's largest): record each press from before "
+                "contact"
             )
             raise PressError(msg)
         rest_mm = _median(places[resting])
@@ -319,7 +317,7 @@ def _on_grid(rest_mm: FloatArray, grid: FloatArray, pitch_mm: float, path: Path)
 def _matched(rest_mm: FloatArray, grid: FloatArray) -> tuple[IntArray, FloatArray]:
     """The nearest point of the grid to each dot, turned and shifted onto them, and how far."""
     moved = grid
-    for _ in range(ROUNDS):
+    for _ in range(LOG.grid_rounds):
         turn, shift = rigid_fit(rest_mm, grid[cKDTree(moved).query(rest_mm)[1]])
         moved = turned(grid, turn) + shift
     distance, index = cKDTree(moved).query(rest_mm)
@@ -327,7 +325,8 @@ def _matched(rest_mm: FloatArray, grid: FloatArray) -> tuple[IntArray, FloatArra
 
 
 def _is_one_to_one(index: IntArray, distance: FloatArray, pitch_mm: float) -> bool:
-    return len(set(index.tolist())) == len(index) and bool(distance.max() <= JUMP * pitch_mm)
+    is_near = bool(distance.max() <= LOG.jump_pitches * pitch_mm)
+    return is_near and len(set(index.tolist())) == len(index)
 
 
 def _lost_dots(lost: BoolArray, known: BoolArray, labels: FloatArray, where: _Names) -> list[str]:
@@ -343,7 +342,7 @@ def _lost_dots(lost: BoolArray, known: BoolArray, labels: FloatArray, where: _Na
     if len(empty):
         lines.append(f"{where.path}: no dots, or too few to follow, in {where.several(empty)}")
     if len(some):
-        first = ", ".join(f"{one:g}" for one in labels[lost[some[0]]][:MAX_NAMED])
+        first = ", ".join(f"{one:g}" for one in labels[lost[some[0]]][: LOG.max_listed])
         lines.append(
             f"{where.path}: dots are lost in {where.several(some)} (marker {first} in the first): "
             "left out there"
@@ -364,15 +363,15 @@ def _swapped_dots(
         seen = np.isfinite(nearby).all(axis=2).any(axis=1)
         around[frame, seen] = np.nanmedian(nearby[seen], axis=1)
     off = np.hypot(*np.moveaxis(motion - around, 2, 0))
-    wrong = off > JUMP * pitch_mm
+    wrong = off > LOG.jump_pitches * pitch_mm
     frames = np.flatnonzero(wrong.any(axis=1))
     if not len(frames):
         return []
     first, who = int(frames[0]), np.flatnonzero(wrong[frames[0]])
     expected = rest[known[who]] + around[first, who]
     far = np.hypot(*np.moveaxis(places[first, known[who]][:, None] - expected[None], 2, 0))
-    swapped = (far.min(axis=1) < SAME_PLACE * pitch_mm).all() and len(who) > 1
-    names = ", ".join(f"{one:g}" for one in labels[known[who]][:MAX_NAMED])
+    swapped = (far.min(axis=1) < LOG.same_place_pitches * pitch_mm).all() and len(who) > 1
+    names = ", ".join(f"{one:g}" for one in labels[known[who]][: LOG.max_listed])
     what = "swapped" if swapped else "far from where their neighbours moved"
     places[:, known] = np.where(wrong[..., None], np.nan, places[:, known])
     return [

@@ -18,7 +18,7 @@ from tacgen.core.safe_io import IMAGE_SUFFIXES, check_archive, read_rgb, rgb_of_
 from tacgen.core.schema import read_yaml
 from tacgen.core.types import FloatArray
 from tacgen.presses.lab_table import (
-    column_problems,
+    missing_columns,
     numeric_columns,
     read_table,
     trial_number_problems,
@@ -301,16 +301,15 @@ def _read_list(
     path: Path, required: tuple[str, ...], ball_radius_mm: float | None, problems: list[str]
 ) -> pd.DataFrame:
     """``presses.csv`` with every column; its first press is in row 2 of the file."""
-    read = read_table(path)
-    table, rows = read.columns, read.rows
+    frame = read_table(path).cells
     if ball_radius_mm is not None:
-        table["radius_mm"] = [str(ball_radius_mm)] * len(next(iter(table.values())))
-    problems += column_problems(table, path, required)
-    numbers, cells = numeric_columns(table, path, NUMBERS, rows)
-    frame = pd.DataFrame(table, dtype=str)
+        frame = frame.assign(radius_mm=str(ball_radius_mm))
+    problems += missing_columns(frame, path, required, PRESSES)
+    numbers, cells = numeric_columns(frame, path, NUMBERS)
     problems += cells
     if "trial" in numbers:
-        problems += trial_number_problems(numbers["trial"], path, rows)
+        problems += trial_number_problems(numbers["trial"], path, frame.index)
+    frame = frame.reset_index(drop=True)
     if "radius_mm" in numbers:
         problems += _radius_problems(numbers["radius_mm"], frame, path, "radius_mm" in required)
     if "file" in frame:

@@ -6,7 +6,7 @@ what makes one press unusable drops that press, with the reason in ``PressLog.dr
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -14,6 +14,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from tacgen.core.errors import PressError
@@ -30,9 +31,6 @@ from tacgen.presses.geometry import ball_volume_mm3
 from tacgen.presses.independent_rows import independent_rows
 from tacgen.presses.lab_table import (
     FORCE_UNITS_N,
-    GAP_FACTOR,
-    MAX_LISTED,
-    Cells,
     LogFormat,
     LogTable,
     parsed,
@@ -41,6 +39,7 @@ from tacgen.presses.lab_table import (
     states_unit,
     trial_number_problems,
 )
+from tacgen.presses.rules import LOG
 
 REQUIRED = ("trial", "time_s", "force_normal_n", "volume_mm3")
 SHEAR_FORCES = ("force_shear_x_n", "force_shear_y_n")
@@ -50,28 +49,7 @@ OPTIONAL_NUMBERS = ("radius_mm", "x_mm", "y_mm", *SHEAR)
 CONTRACT = (*REQUIRED, "indenter", *OPTIONAL_NUMBERS)
 PLAIN = LogFormat()
 
-MAX_EMPTY_SHARE = 0.5
-"""Up to this share of a trial's samples may be empty before the whole trial is dropped: what is
-measured beside them is as good as ever."""
 
-MAX_DROPPED_SHARE = 0.5  # of a log's samples: with more gone, what is left is not the session
-
-USUAL_SHARE, SPIKE_FACTOR = 0.99, 30.0
-"""Readings so many times beyond what this share of them is within are no readings."""
-
-MOST_TIED = (
-    0.1  # of a press's samples: with more at the time of the one before, its clock is coarse
-)
-
-MAX_WARNED = 5  # presses whose empty cells or gaps are spelled out
-
-MAX_PLAUSIBLE_FORCE_N = 100.0
-"""Above what a gripper presses on a gel with: the WSG-50 ends at 80 N."""
-
-READ_K_N_MM3_PER_N = (0.5 * GELS_K_N_MM3_PER_N[0], GELS_K_N_MM3_PER_N[1])
-"""What is read: laboratories press harder samples too, of 0.19 mm³/N."""
-DOUBTFUL_K_N_MM3_PER_N = (0.5, 30.0)
-"""Beyond these another unit is as likely as another gel: kgf for newtons makes 50 mm³/N of 5."""
 OTHER_UNITS = MappingProxyType(
     {
         "volume_mm3": {"cm3": 1e3, "m3": 1e9, "um3": 1e-9},
@@ -81,28 +59,8 @@ OTHER_UNITS = MappingProxyType(
 """That a response may be in, and mm³ or mm in one of each."""
 
 
-PLAUSIBLE_DEPTHS_MM = (0.02, 50.0)
-"""What the deepest press can be: gels are 2 to 10 mm thick, and seen to give way from 0.02 mm."""
-POSITION_SHARE, POSITION_MM = 0.8, 5.0
-"""Depths that are all above this share of the largest, and it above this, are counted from
-elsewhere than the gel's surface."""
-
-SHORTEST_PRESS_S, LONGEST_PRESS_S, LATEST_CLOCK_S = 0.01, 1e5, 1e10
-"""A press is no blink and no day long, and no clock in seconds is 300 years after 1970."""
-USUAL_PRESS_S = 5.0
-ODD_PRESS_S, ODD_STEP_S = 300.0, 1.0  # longer presses with rarer samples may be in ms
-
-REST_SHARE = 0.05  # of a press's samples, those with the least force: at rest
-HELD_SHARE = 0.7  # of the peaks: above it, the least force and its volume are of a hold
-
-SIGN_CORRELATION = 0.5  # of force and size of the response: beyond its negative, the sign is wrong
-SHUFFLED_SHARE = 0.1  # of a log's steps that go backwards in time: two presses under a number, few
-
 UNIT_WORDS = MappingProxyType({"n": "newtons", "mn": "millinewtons", "gf": "grams", "kgf": "kg"})
 
-OUTLIER_FACTOR = 8.0
-"""A trial this many times softer or stiffer than the median one was logged in another unit: kgf for
-newtons are 9.8 times less."""
 
 Columns = Mapping[str, NDArray[Any]]
 
@@ -215,7 +173,7 @@ def press_log_of(table: LogTable, *, radius_mm: float | None = None) -> PressLog
     table.require("trial", "time_s", "force_normal_n", "volume_mm3 or depth_mm")
     table, spikes = _without_spikes(table)
     path, numbers = table.path, table.numbers
-    problems = [*table.problems, *trial_number_problems(numbers["trial"], path, table.rows)]
+    problems = [*table.problems, *trial_number_problems(numbers["trial"], path, table.cells.index)]
     PressError.raise_if(problems or value_problems(table))
     trial = numbers["trial"].astype(np.int64)
     order, moved = row_order(trial, numbers["time_s"])
@@ -227,7 +185,7 @@ def press_log_of(table: LogTable, *, radius_mm: float | None = None) -> PressLog
     notes = [*table.notes, *table.unclear, *spikes, *([f"{path}: {moved}"] if moved else [])]
     if "time_s" in table.headers and "time_s" not in table.sure:
         notes += _check_clock_unit(table, columns)
-    of_depths, rows = "volume_mm3" not in columns, table.rows[order]
+    of_depths, rows = "volume_mm3" not in columns, table.cells.index.to_numpy()[order]
     columns, is_known, filled = _with_ball_volumes(columns, radius_mm)
     if is_known and filled.any():
         _check_ball({name: values[filled] for name, values in columns.items()}, path)
@@ -253,8 +211,8 @@ def _without_spikes(table: LogTable) -> tuple[LogTable, list[str]]:
     for name in ("force_normal_n", "volume_mm3", "depth_mm"):
         values = numbers.get(name, np.zeros(0))
         known = np.isfinite(values)
-        usual = float(np.quantile(np.abs(values[known]), USUAL_SHARE)) if known.any() else 0.0
-        spikes = known & (np.abs(values) > SPIKE_FACTOR * usual)
+        usual = float(np.quantile(np.abs(values[known]), LOG.usual_share)) if known.any() else 0.0
+        spikes = known & (np.abs(values) > LOG.spike_factor * usual)
         if usual > 0 and spikes.any():
             numbers[name] = np.where(spikes, np.nan, values)
             notes.append(
@@ -272,10 +230,9 @@ def _with_presses(table: LogTable) -> LogTable:
     cells, numbers, notes = table.cells, dict(table.numbers), list(table.notes)
     if "depth_mm" not in cells or "volume_mm3" in cells:
         return table
-    count, path = len(table.rows), table.path
+    count, path = len(cells), table.path
     if "curve" in cells:
-        first = {name: k for k, name in enumerate(dict.fromkeys(cells["curve"]))}
-        numbers["trial"] = np.array([first[name] for name in cells["curve"]], dtype=np.float64)
+        numbers["trial"] = pd.factorize(cells["curve"])[0].astype(np.float64)
     elif "trial" not in cells:
         by, number = next(iter(table.parted.items()), ("", np.zeros(count)))
         numbers["trial"] = np.asarray(number, dtype=np.float64)
@@ -287,8 +244,9 @@ def _with_presses(table: LogTable) -> LogTable:
             f"{path}: no column time_s: rows are taken in the file's order, one a second, so that "
             "times of effects that a diagnosis finds are in rows"
         )
-    added = {name: [f"{one:.0f}" for one in numbers[name]] for name in ("trial", "time_s")}
-    return replace(table, cells={**added, **cells}, numbers=numbers, notes=tuple(notes))
+    added = [name for name in ("trial", "time_s") if name not in cells]
+    cells = pd.DataFrame({name: numbers[name] for name in added}, cells.index).join(cells)
+    return replace(table, cells=cells, numbers=numbers, notes=tuple(notes))
 
 
 def _with_ball_volumes(
@@ -303,7 +261,7 @@ def _with_ball_volumes(
     volume, depth = columns.get("volume_mm3", nothing), columns.get("depth_mm", nothing)
     filled = ~np.isin(trial, trial[np.isfinite(volume)]) & np.isin(trial, trial[np.isfinite(depth)])
     if not filled.any():
-        return columns, True, filled
+        return {**columns, "volume_mm3": volume}, True, filled
     radius = columns.get("radius_mm", nothing)
     if radius_mm is not None:
         radius = np.full(len(trial), radius_mm)
@@ -342,7 +300,7 @@ def row_order(trial: IntArray, time_s: FloatArray) -> tuple[IntArray, str]:
 
     clock = steps(time_s)
     backwards = clock < 0
-    if backwards.sum() > SHUFFLED_SHARE * len(backwards):
+    if backwards.sum() > LOG.shuffled_share * len(backwards):
         start = np.full(len(first), np.inf)
         np.fmin.at(start, label, time_s)
         rank = np.argsort(np.lexsort((first, start)))
@@ -351,7 +309,7 @@ def row_order(trial: IntArray, time_s: FloatArray) -> tuple[IntArray, str]:
     if (np.diff(grouped) != 1).any() and not backwards.any():
         joined = steps(np.arange(len(trial), dtype=np.float64)) != 1
         typical = np.median(clock[clock > 0]) if (clock > 0).any() else 0.0
-        if joined.any() and not (clock[joined] > GAP_FACTOR * typical).any():
+        if joined.any() and not (clock[joined] > LOG.gap_factor * typical).any():
             return grouped, "the rows of presses alternate; those of each are joined"
     return np.arange(len(trial)), ""
 
@@ -365,7 +323,8 @@ def value_problems(table: LogTable) -> list[str]:
     known = np.isfinite(force) & np.isfinite(values)
     if known.sum() > 2:
         low, high = np.percentile(values[known], (1.0, 99.0))
-        if response == "depth_mm" and low > POSITION_SHARE * high > POSITION_SHARE * POSITION_MM:
+        is_far = low > LOG.position_share * high and high > LOG.position_mm
+        if response == "depth_mm" and is_far:
             return [
                 f"{path}: depth_mm lies between {low:.4g} and {high:.4g}, like a stage's position: "
                 "count it from the gel's surface, growing as the gel is pressed"
@@ -379,14 +338,14 @@ def value_problems(table: LogTable) -> list[str]:
                 f"{path}: {response} is negative in contact (down to {low:.3g}); flip the sign: "
                 f"--flip {short}"
             )
-        if max(inside, outside, key=abs) < -SIGN_CORRELATION:
+        if max(inside, outside, key=abs) < -LOG.sign_correlation:
             problems.append(
                 f"{path}: force_normal_n is negative in contact (down to {load.min():.3g} N); flip "
                 "the sign: --flip force"
             )
     peak = float(np.nanmax(np.abs(values))) if known.any() else 0.0
     if response == "depth_mm" and response not in table.sure and known.any():
-        least, most = PLAUSIBLE_DEPTHS_MM
+        least, most = LOG.plausible_depths_mm
         unit = "m" if 0 < peak < least else "um" if peak > most else ""
         if unit:
             problems.append(
@@ -418,12 +377,13 @@ def _check_clock_unit(table: LogTable, columns: Columns) -> list[str]:
     steps = np.diff(time_s)
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     said = f"{table.path}: a press lasts {span:.3g} s by time_s (median), from {start:.4g} s"
-    if span > LONGEST_PRESS_S or start > LATEST_CLOCK_S or 0 < span < SHORTEST_PRESS_S:
+    if span > LOG.longest_press_s or start > LOG.latest_clock_s or 0 < span < LOG.shortest_press_s:
         units = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "h": 3600.0, "d": 86400.0}
-        unit = min(units, key=lambda u: abs(math.log(max(span, 1e-9) * units[u] / USUAL_PRESS_S)))
+        usual = LOG.usual_press_s / max(span, 1e-9)
+        unit = min(units, key=lambda u: abs(math.log(units[u] / usual)))
         msg = f"{said}: this looks like {unit}; {_true_unit(table, 'time_s', unit)}"
         raise PressError(msg)
-    if span > ODD_PRESS_S and step >= ODD_STEP_S:
+    if span > LOG.odd_press_s and step >= LOG.odd_step_s:
         return [
             f"{said}, a sample every {step:.3g} s; if it is in ms, "
             f"{_true_unit(table, 'time_s', 'ms')}"
@@ -434,29 +394,27 @@ def _check_clock_unit(table: LogTable, columns: Columns) -> list[str]:
 def _checked(columns: Columns, path: Path, rows: IntArray, response: str) -> PressLog:
     found = _Findings(columns, path, rows, np.ones(len(rows), dtype=bool), response)
     blocks = _trial_blocks(columns["trial"])
-    for block in blocks:
-        _check_cells(found, block)
-        _check_clock(found, block)
+    for check in CHECKS:
+        for block, reason in check.test(found, found.in_use(blocks)):
+            found.drop(block, check, reason)
     # One line for what is the same of very many presses, after the first few.
-    more = len(found.warnings) - MAX_WARNED
+    more = len(found.warnings) - LOG.max_warned
     if more > 0:
-        del found.warnings[MAX_WARNED:]
+        del found.warnings[LOG.max_warned :]
         found.warn(f"{more} more presses have empty cells or gaps in their clock likewise")
-    _check_repeats(found, blocks)
-    for block in blocks:
-        _check_contact(found, block)
-    _check_stray_units(found, blocks)
-    _check_tied_times(found, blocks)
-    session_clock = _check_session_clock(found, blocks)
-    _check_covariates(found)
+    in_use = found.in_use(blocks)
+    _warn_of_tied_times(found, in_use)
+    session_clock = _runs_on(found, in_use)
+    _warn_of_empty_covariates(found)
     dropped = tuple(sorted(found.dropped, key=lambda each: each.rows))
-    if found.keep.sum() <= (1 - MAX_DROPPED_SHARE) * (len(rows) - found.copied):
-        reasons = [str(trial) for trial in dropped[:MAX_LISTED]]
-        if len(dropped) > MAX_LISTED:
-            reasons.append(f"… and {len(dropped) - MAX_LISTED} more")
+    if found.keep.sum() <= (1 - LOG.max_dropped_share) * (len(rows) - found.copied):
+        reasons = [str(trial) for trial in dropped[: LOG.max_listed]]
+        if len(dropped) > LOG.max_listed:
+            reasons.append(f"… and {len(dropped) - LOG.max_listed} more")
         what = f"only {found.keep.sum()} of {len(rows)} samples can be used"
         what = what if found.keep.any() else "no usable press remains"
-        raise PressError.from_problems([f"{path}: {what}", *reasons, *found.warnings[:MAX_LISTED]])
+        reasons += found.warnings[: LOG.max_listed]
+        raise PressError.from_problems([f"{path}: {what}", *reasons])
     return PressLog(
         columns=_frozen(columns, found.keep),
         path=path,
@@ -468,12 +426,12 @@ def _checked(columns: Columns, path: Path, rows: IntArray, response: str) -> Pre
     )
 
 
-def _covariate(name: str, cells: Cells) -> NDArray[Any]:
+def _covariate(name: str, cells: pd.Series) -> NDArray[Any]:
     """Float64 where every filled cell is a number, text otherwise."""
-    values, filled = parsed(cells)
+    values, filled = parsed(cells), (cells != "").to_numpy()
     if filled.any() and np.isfinite(values[filled]).all() and name != "indenter":
         return values
-    return np.where(filled, np.asarray(cells, dtype=str), "")
+    return np.asarray(cells, dtype=str)
 
 
 def _frozen(columns: Columns, mask: BoolArray) -> Columns:
@@ -494,20 +452,38 @@ class _Findings:
     warnings: list[str] = field(default_factory=list)
     copied: int = 0  # samples of presses that are copies: nothing is lost with them
 
+    def in_use(self, blocks: list[IntArray]) -> list[IntArray]:
+        return [block for block in blocks if self.keep[block].any()]
+
     def kept(self, block: IntArray) -> IntArray:
         return block[self.keep[block]]
 
     def trial(self, block: IntArray) -> int:
         return int(self.columns["trial"][block[0]])
 
-    def drop(self, block: IntArray, reason: str, fix: str) -> None:
+    def drop(self, block: IntArray, check: "Check", reason: str) -> None:
         if self.keep[block].any():
             self.keep[block] = False
+            self.copied += len(block) if check.loses_nothing else 0
             span = int(self.rows[block].min()), int(self.rows[block].max())
-            self.dropped.append(DroppedTrial(self.trial(block), span, reason, fix, str(self.path)))
+            own = DroppedTrial(self.trial(block), span, reason, check.fix, str(self.path))
+            self.dropped.append(own)
 
     def warn(self, text: str) -> None:
         self.warnings.append(f"{self.path}: {text}")
+
+
+Found = Iterator[tuple[IntArray, str]]
+"""Presses that are dropped, by their samples' indices, and why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """What makes a press unusable, found among those in use, and how it is mended."""
+
+    test: Callable[[_Findings, list[IntArray]], Found]
+    fix: str
+    loses_nothing: bool = False  # a press that is dropped is there a second time
 
 
 def _trial_blocks(trial: IntArray) -> list[IntArray]:
@@ -531,11 +507,11 @@ def compliance_doubts(compliance: float, peak: float, table: LogTable) -> list[s
     make a gel of it are said, the nearest to published ones first; ``--force-unit n`` says that
     newtons are right.
     """
-    least, most = READ_K_N_MM3_PER_N
+    (least, most), (low, high) = LOG.read_k_n_mm3_per_n, LOG.doubtful_k_n_mm3_per_n
     is_unknown = math.isnan(compliance)
     is_gel = is_unknown or least <= compliance <= most
-    is_too_large = peak > MAX_PLAUSIBLE_FORCE_N
-    is_usual = is_unknown or DOUBTFUL_K_N_MM3_PER_N[0] <= compliance <= DOUBTFUL_K_N_MM3_PER_N[1]
+    is_too_large = peak > LOG.max_plausible_force_n
+    is_usual = is_unknown or low <= compliance <= high
     if "force_normal_n" in table.sure or (is_gel and is_usual and not is_too_large):
         return []
     others = _other_units(compliance, peak, table)
@@ -564,7 +540,7 @@ def _other_units(compliance: float, peak: float, table: LogTable) -> list[tuple[
     """
     found = []
     for unit, newtons in FORCE_UNITS_N.items():
-        if unit != "n" and peak * newtons <= MAX_PLAUSIBLE_FORCE_N:
+        if unit != "n" and peak * newtons <= LOG.max_plausible_force_n:
             found.append((compliance / newtons, f"--force-unit {unit} ({UNIT_WORDS[unit]}"))
     gauge = split_header(table.headers["force_normal_n"])[0]
     found.append((compliance / 1e3, f'--column force_normal_n="{gauge} [kN]" (kilonewtons'))
@@ -601,9 +577,9 @@ def _peaks_and_compliances(
             continue
         force, volume = force[known], volume[known]
         peak[index] = force.max()
-        rest = force <= np.quantile(force, REST_SHARE)
+        rest = force <= np.quantile(force, LOG.rest_share)
         zero = np.array([np.median(force[rest]), np.median(volume[rest])])
-        if zero[0] > HELD_SHARE * peak[index] and zero[1] > HELD_SHARE * volume.max():
+        if zero[0] > LOG.held_share * peak[index] and zero[1] > LOG.held_share * volume.max():
             zero = np.zeros(2)
         loaded = force - zero[0] >= 0.5 * (force.max() - zero[0])
         load = np.median(force[loaded]) - zero[0]
@@ -612,106 +588,122 @@ def _peaks_and_compliances(
     return peak, compliance
 
 
-def _check_cells(found: _Findings, block: IntArray) -> None:
-    """Empty or infinite cells: a few drop their samples, many the trial."""
+def _empty_cells(found: _Findings, blocks: list[IntArray]) -> Found:
+    """Empty or infinite cells: a few drop their samples, many the press."""
     required = (*REQUIRED[:-1], found.response)
     names = (*required, *(name for name in SHEAR if name in found.columns))
-    finite = {name: np.isfinite(found.columns[name][block]) for name in names}
-    finite = {name: known for name, known in finite.items() if name in required or known.any()}
-    bad = ~np.logical_and.reduce(list(finite.values()))
-    if not bad.any():
-        return
-    guilty = ", ".join(name for name, known in finite.items() if not known.all())
-    where = ", ".join(str(row) for row in found.rows[block[bad][:MAX_LISTED]])
-    what = f"{guilty} is empty, NaN or infinite in {bad.sum()} of {len(bad)} samples"
-    if bad.mean() > MAX_EMPTY_SHARE:
-        found.drop(block, f"{what} (row {where})", "fill the cells or delete the press")
-        return
-    found.keep[block] &= ~bad
-    fix = "these samples are dropped, fill the cells or delete the rows"
-    found.warn(f"row {where}: trial {found.trial(block)}: {what}; {fix}")
-
-
-def _check_clock(found: _Findings, block: IntArray) -> None:
-    kept = found.kept(block)
-    steps = np.diff(found.columns["time_s"][kept])
-    if (steps < 0).any():
-        row, more = found.rows[kept[1:][steps < 0][0]], int((steps < 0).sum()) - 1
-        reason = f"time_s goes backwards at row {row}" + (f" and {more} more" if more else "")
-        fix = "sort the rows by trial and time, and give each press its own trial number"
-        found.drop(block, reason, fix)
-        return
-    if not (steps > 0).any():
-        return
-    gaps = steps > GAP_FACTOR * np.median(steps[steps > 0])
-    if gaps.any():
-        found.warn(
-            f"row {found.rows[kept[1:][gaps][0]]}: trial {found.trial(block)}: the clock jumps by "
-            f"{steps[gaps][0]:.3g} s ({gaps.sum()} such gaps): what depends on the load's history "
-            "is not known across it"
-        )
-
-
-def _check_repeats(found: _Findings, blocks: list[IntArray]) -> None:
-    """Copies of a press under any number, and numbers that stand for several presses."""
-    seen: dict[bytes, IntArray] = {}
-    first_row: dict[int, int] = {}
     for block in blocks:
-        if not found.keep[block].any():
+        finite = {name: np.isfinite(found.columns[name][block]) for name in names}
+        finite = {name: known for name, known in finite.items() if name in required or known.any()}
+        bad = ~np.logical_and.reduce(list(finite.values()))
+        if not bad.any():
             continue
-        trial, row = found.trial(block), int(found.rows[block[0]])
+        guilty = ", ".join(name for name, known in finite.items() if not known.all())
+        where = ", ".join(str(row) for row in found.rows[block[bad][: LOG.max_listed]])
+        what = f"{guilty} is empty, NaN or infinite in {bad.sum()} of {len(bad)} samples"
+        if bad.mean() > LOG.max_empty_share:
+            yield block, f"{what} (row {where})"
+            continue
+        found.keep[block] &= ~bad
+        fix = "these samples are dropped, fill the cells or delete the rows"
+        found.warn(f"row {where}: trial {found.trial(block)}: {what}; {fix}")
+
+
+def _clock_goes_back(found: _Findings, blocks: list[IntArray]) -> Found:
+    for block in blocks:
+        kept = found.kept(block)
+        steps = np.diff(found.columns["time_s"][kept])
+        back = np.flatnonzero(steps < 0)
+        if back.size:
+            more = f" and {back.size - 1} more" if back.size > 1 else ""
+            yield block, f"time_s goes backwards at row {found.rows[kept[back[0] + 1]]}{more}"
+            continue
+        usual = np.median(steps[steps > 0]) if (steps > 0).any() else np.inf
+        gaps = np.flatnonzero(steps > LOG.gap_factor * usual)
+        if gaps.size:
+            found.warn(
+                f"row {found.rows[kept[gaps[0] + 1]]}: trial {found.trial(block)}: the clock jumps "
+                f"by {steps[gaps[0]]:.3g} s ({gaps.size} such gaps): what depends on the load's "
+                "history is not known across it"
+            )
+
+
+def _copies(found: _Findings, blocks: list[IntArray]) -> Found:
+    seen: dict[bytes, IntArray] = {}
+    for block in blocks:
         force, volume = (found.columns[name][block] for name in REQUIRED[2:])
         original = seen.setdefault(force.tobytes() + volume.tobytes(), block)
         if original is not block and len(block) > 3:
             where = f"trial {found.trial(original)} (from row {found.rows[original[0]]})"
-            found.copied += len(block)
-            found.drop(block, f"it is a copy of {where}", "delete one of the two")
-        elif first_row.setdefault(trial, row) != row:
+            yield block, f"it is a copy of {where}"
+
+
+def _numbers_taken(found: _Findings, blocks: list[IntArray]) -> Found:
+    first_row: dict[int, int] = {}
+    for block in blocks:
+        trial, row = found.trial(block), int(found.rows[block[0]])
+        if first_row.setdefault(trial, row) != row:
             known = f"trial {trial} is already at row {first_row[trial]}"
-            reason = f"{known}, so it is not known which press this one is"
-            fix = "give each press its own trial number, in one block of rows"
-            found.drop(block, reason, fix)
+            yield block, f"{known}, so it is not known which press this one is"
 
 
-def _check_contact(found: _Findings, block: IntArray) -> None:
-    kept = found.kept(block)
-    if not len(kept):
-        return
-    force, volume = found.columns["force_normal_n"][kept], found.columns["volume_mm3"][kept]
-    if len(kept) > 1 and np.ptp(force) == 0.0:
-        found.drop(block, f"the force never changes ({force[0]:g} N)", "check the gauge")
-    elif not (force > 0).any():
-        found.drop(block, "the force is never positive", "zero the gauge, check its sign")
-    elif not (volume != 0).any():
-        quantity = found.response.partition("_")[0]
-        found.drop(block, f"the {quantity} is always 0: no contact was seen", "press deeper")
+def _constant_forces(found: _Findings, blocks: list[IntArray]) -> Found:
+    for block in blocks:
+        force = found.columns["force_normal_n"][found.kept(block)]
+        if len(force) > 1 and np.ptp(force) == 0.0:
+            yield block, f"the force never changes ({force[0]:g} N)"
 
 
-def _check_stray_units(found: _Findings, blocks: list[IntArray]) -> None:
-    blocks = [block for block in blocks if found.keep[block].any()]
-    if not blocks:
-        return
+def _no_force(found: _Findings, blocks: list[IntArray]) -> Found:
+    for block in blocks:
+        if not (found.columns["force_normal_n"][found.kept(block)] > 0).any():
+            yield block, "the force is never positive"
+
+
+def _no_contact(found: _Findings, blocks: list[IntArray]) -> Found:
+    for block in blocks:
+        if not (found.columns["volume_mm3"][found.kept(block)] != 0).any():
+            yield block, f"the {found.response.partition('_')[0]} is always 0: no contact was seen"
+
+
+def _other_unit(found: _Findings, blocks: list[IntArray]) -> Found:
     peak, compliance = _peaks_and_compliances(found.columns, blocks)
-    typical_peak, typical = np.nanmedian(peak), np.nanmedian(compliance)
-    if len(blocks) < 3 or not typical > 0:
+    if len(blocks) < 3 or not np.nanmedian(compliance) > 0:
         return
+    typical_peak, typical = np.nanmedian(peak), np.nanmedian(compliance)
     for block, one_peak, one in zip(blocks, peak, compliance, strict=True):
-        stiff = one < typical / OUTLIER_FACTOR and one_peak > typical_peak * OUTLIER_FACTOR
-        soft = one > typical * OUTLIER_FACTOR and one_peak < typical_peak / OUTLIER_FACTOR
+        stiff = one < typical / LOG.outlier_factor and one_peak > typical_peak * LOG.outlier_factor
+        soft = one > typical * LOG.outlier_factor and one_peak < typical_peak / LOG.outlier_factor
         if stiff or soft:
-            reason = (
+            yield (
+                block,
                 f"its force peaks at {one_peak:.3g}, the others at {typical_peak:.3g} (median), "
                 f"and volume per force is {one:.2g} against {typical:.2g} mm³/N: it looks like "
-                "another unit (grams?)"
+                "another unit (grams?)",
             )
-            found.drop(block, reason, "write its force in newtons")
 
 
-def _check_tied_times(found: _Findings, blocks: list[IntArray]) -> None:
+CHECKS = (
+    Check(_empty_cells, "fill the cells or delete the press"),
+    Check(
+        _clock_goes_back,
+        "sort the rows by trial and time, and give each press its own trial number",
+    ),
+    Check(_copies, "delete one of the two", loses_nothing=True),
+    Check(_numbers_taken, "give each press its own trial number, in one block of rows"),
+    Check(_constant_forces, "check the gauge"),
+    Check(_no_force, "zero the gauge, check its sign"),
+    Check(_no_contact, "press deeper"),
+    Check(_other_unit, "write its force in newtons"),
+)
+"""Applied in this order, each to the presses that those before have left."""
+
+
+def _warn_of_tied_times(found: _Findings, blocks: list[IntArray]) -> None:
     """A warning where many samples of a press share a time: the clock's step hides their order."""
     times_s = [found.columns["time_s"][found.kept(block)] for block in blocks]
     shares = [float((np.diff(one) == 0).mean()) for one in times_s if len(one) > 1]
-    tied = sum(share > MOST_TIED for share in shares)
+    tied = sum(share > LOG.most_tied_share for share in shares)
     if tied:
         found.warn(
             f"samples of {tied} presses share their time ({max(shares):.0%} in one of them): what "
@@ -720,9 +712,9 @@ def _check_tied_times(found: _Findings, blocks: list[IntArray]) -> None:
         )
 
 
-def _check_session_clock(found: _Findings, blocks: list[IntArray]) -> bool:
+def _runs_on(found: _Findings, blocks: list[IntArray]) -> bool:
+    """Whether the clock does from press to press; a warning where not."""
     times_s = [found.columns["time_s"][found.kept(block)] for block in blocks]
-    times_s = [time_s for time_s in times_s if len(time_s)]
     runs = all(after[0] >= before[-1] for before, after in pairwise(times_s))
     if not runs:
         found.warn(
@@ -732,7 +724,7 @@ def _check_session_clock(found: _Findings, blocks: list[IntArray]) -> bool:
     return runs
 
 
-def _check_covariates(found: _Findings) -> None:
+def _warn_of_empty_covariates(found: _Findings) -> None:
     """A warning for covariates with empty cells: tests of them use the other samples."""
     for name, values in found.columns.items():
         if name in ("radius_mm", *SHEAR) or not found.keep.any():

@@ -9,25 +9,19 @@ from numpy.typing import NDArray
 from tacgen.core.errors import PressError
 from tacgen.core.processes import map_in_processes
 from tacgen.optics.dots import dots_in, printed_dots
-from tacgen.presses.background_check import MIN_PRESSES, check_background
+from tacgen.presses.background_check import check_background
 from tacgen.presses.circles import Circle, change_in, disc_of, find_circle, outside_share
 from tacgen.presses.experiments import experiments_of
 from tacgen.presses.press_images import DroppedPress, PressImages
+from tacgen.presses.rules import IMAGES
 
-MAX_OUTSIDE = 0.25  # share of a contact out of view from which a warning says so
-MAX_SATURATED = 0.9  # of a contact's pixels at 0 or 255 in a channel where the gel is not
-MAX_LABEL_SHARE = 1.5  # of the ball's radius, for a labelled one: people circle the gel's rim too
-MAX_LABEL_OFF = 0.75  # radii from the circle that is seen: a label farther off is of something else
-OWN_CHANGE_SHARE = 0.9  # of the seen circle's change: with it a labelled one is a contact anyway
-LEAST_CHANGE = 2.0  # grey levels, in a labelled circle where no contact is seen anywhere
 LABEL_OR_PRESS = "label its circle, or press again with the ball well in view"
-MAX_CLIPPED = 0.5  # of a labelled circle at the camera's limit: beyond it only a part is seen
 
 
 def usable_presses(
     presses: PressImages,
     *,
-    least: int = MIN_PRESSES,
+    least: int = IMAGES.min_presses,
     same_light: bool = True,
     every: bool = False,
 ) -> PressImages:
@@ -113,7 +107,7 @@ def _judged(presses: PressImages, k: int, seen: Circle, *, every: bool) -> _Judg
     if reason and every and outside < 1.0 and circle.radius_px > 1:
         doubts.append(f"{reason}; counted all the same: {fix}")
         reason = ""
-    if outside > MAX_OUTSIDE:
+    if outside > IMAGES.max_outside_share:
         doubts.append(f"{outside:.0%} of its contact lies out of view")
     return _Judged(circle, found, reason, fix, tuple(doubts))
 
@@ -131,7 +125,7 @@ def _press_problem(presses: PressImages, k: int, circle: Circle) -> tuple[str, s
     if reason := _size_problem(presses, k, circle.radius_px):
         return f"the contact {reason}", "check the ball's radius_mm and mm_per_px"
     saturated = _saturated_share(presses, k, circle)
-    if saturated > MAX_SATURATED:
+    if saturated > IMAGES.max_saturated_share:
         return f"{saturated:.0%} of its contact is saturated", "lower the exposure"
     return "", ""
 
@@ -140,15 +134,15 @@ def _size_problem(presses: PressImages, k: int, radius_px: float) -> str:
     ball_px = presses.ball_radius_mm[k] / presses.mm_per_px
     if radius_px <= 1:
         return f"radius is {radius_px:.1f} px"
-    if radius_px > MAX_LABEL_SHARE * ball_px:
-        own = f"{MAX_LABEL_SHARE:g} times the ball's own {ball_px:.1f} px"
+    if radius_px > IMAGES.max_label_balls * ball_px:
+        own = f"{IMAGES.max_label_balls:g} times the ball's own {ball_px:.1f} px"
         return f"radius of {radius_px:.1f} px is over {own}"
     return ""
 
 
 def _is_elsewhere(label: Circle, seen: Circle) -> bool:
     apart = float(np.hypot(*(label.center_px - seen.center_px)))
-    return apart > MAX_LABEL_OFF * max(seen.radius_px, label.radius_px)
+    return apart > IMAGES.max_label_off_radii * max(seen.radius_px, label.radius_px)
 
 
 def _label_problem(presses: PressImages, k: int, label: Circle, seen: Circle) -> tuple[str, str]:
@@ -160,13 +154,16 @@ def _label_problem(presses: PressImages, k: int, label: Circle, seen: Circle) ->
         return "its labelled circle lies out of view", fix
     change = change_in(presses.images[k], presses.background, label)
     if seen.problem:
-        return ("its labelled circle shows no contact", fix) if change < LEAST_CHANGE else ("", "")
+        is_empty = change < IMAGES.least_change_grey
+        return ("its labelled circle shows no contact", fix) if is_empty else ("", "")
     if not _is_elsewhere(label, seen):
         return "", ""
     disc, step = disc_of(label, presses.shape_px)
     clipped = presses.images[k, ::step, ::step][disc] == presses.images.max()
-    own_change = change > OWN_CHANGE_SHARE * change_in(presses.images[k], presses.background, seen)
-    if own_change or clipped.any(axis=1).mean() > MAX_CLIPPED:
+    own_change = change > IMAGES.own_change_share * change_in(
+        presses.images[k], presses.background, seen
+    )
+    if own_change or clipped.any(axis=1).mean() > IMAGES.max_clipped_share:
         return "", ""
     apart = float(np.hypot(*(label.center_px - seen.center_px)))
     x, y = seen.center_px

@@ -9,12 +9,13 @@ import pandas as pd
 import yaml
 from numpy.typing import NDArray
 
-from tacgen.contact import contact_depth, gel_map_mm, solve_indentation
-from tacgen.contact.gel import pixel_centers_mm
+from tacgen.contact import gel_map_mm
+from tacgen.contact.ball import GelLattice
 from tacgen.contact.shear import dilation_mm, marker_grid_mm
 from tacgen.core.files import atomic_path, write_text
 from tacgen.core.images import encode_png
 from tacgen.core.records import Sensor
+from tacgen.core.types import FloatArray
 from tacgen.optics.deform import deform
 from tacgen.optics.markers import draw_markers
 from tacgen.optics.virtual_sensor import VirtualSensor
@@ -24,8 +25,6 @@ from tacgen.rig.schedule import CAMERA, press_rng
 from tacgen.sensor.gel_response import GelLoad
 from tacgen.sensor.gel_shear import GelShear
 
-Floats = NDArray[np.float64]
-
 LAST = "sensor.yaml"  # the last file that is written
 
 
@@ -33,9 +32,9 @@ LAST = "sensor.yaml"  # the last file that is written
 class BallContact:
     """A ball in the gel: depth map (H, W), the ball's centre, and the moved dots (n, 2)."""
 
-    depth_mm: Floats
+    depth_mm: FloatArray
     center_mm: tuple[float, float]
-    markers_mm: Floats
+    markers_mm: FloatArray
 
     def contact_center_px(self) -> tuple[float, float]:
         """Column and row of the middle of the contact: beside the ball's centre on a dome."""
@@ -52,16 +51,15 @@ def press_ball(
     radius_mm: float,
     center_mm: tuple[float, float],
     volume_mm3: float,
-    shear_sum_mm: Floats,
+    shear_sum_mm: FloatArray,
 ) -> BallContact:
     """Press a ball to a volume, then move it until the dots' motion sums to a shear (2,)."""
-    points = marker_grid_mm(sensor)
-    depth = _depth_of_ball(sensor, radius_mm, center_mm, volume_mm3)
+    points, pixels = marker_grid_mm(sensor), GelLattice.of(sensor)
+    depth = pixels.ball_depth_mm(radius_mm, center_mm, volume_mm3)
     if not (depth > 0).any():
         return BallContact(depth, center_mm, points)
-    x_mm, y_mm = pixel_centers_mm(sensor)
     rows, columns = np.nonzero(depth)
-    patch = np.stack([x_mm[columns], y_mm[rows]], axis=1)
+    patch = np.stack([pixels.x_mm[columns], pixels.y_mm[rows]], axis=1)
     points_moved = points + dilation_mm(points, patch, depth[rows, columns], sensor.pixel_area_mm2)
     load = GelLoad(volume_mm3, shear_sum_mm=shear_sum_mm)
     gel, window = GelShear(sensor), (0, sensor.height_px, 0, sensor.width_px)
@@ -74,23 +72,8 @@ def press_ball(
     exact = np.divide(shear_sum_mm, dots.sum(axis=0), out=np.ones(2), where=pulled)
     shift_mm = exact * gel.object_motion(state, load).shift_mm
     moved = (center_mm[0] + float(shift_mm[0]), center_mm[1] + float(shift_mm[1]))
-    depth = _depth_of_ball(sensor, radius_mm, moved, volume_mm3)
+    depth = pixels.ball_depth_mm(radius_mm, moved, volume_mm3)
     return BallContact(depth, moved, points_moved + exact * dots)
-
-
-def _depth_of_ball(
-    sensor: Sensor, radius_mm: float, center_mm: tuple[float, float], volume_mm3: float
-) -> Floats:
-    x_mm, y_mm = pixel_centers_mm(sensor)
-    away = (x_mm[None, :] - center_mm[0]) ** 2 + (y_mm[:, None] - center_mm[1]) ** 2
-    below = away < radius_mm**2
-    gap = np.full(sensor.shape_px, np.inf)
-    gap[below] = -np.sqrt(radius_mm**2 - away[below]) - gel_map_mm(sensor)[below]
-    gap -= gap.min()
-    if volume_mm3 <= 0:
-        return np.zeros(sensor.shape_px)
-    depth_mm = solve_indentation(gap, volume_mm3, sensor.pixel_area_mm2)
-    return contact_depth(gap, min(depth_mm, sensor.gel_depth_mm))
 
 
 class Camera:
@@ -108,7 +91,7 @@ class Camera:
     def take(self, contact: BallContact | None, rng: np.random.Generator) -> NDArray[np.uint8]:
         """A picture (H, W, 3), RGB; ``None`` is the gel at rest."""
         height = self._gel_mm
-        points = marker_grid_mm(self._sensor)
+        points: FloatArray = marker_grid_mm(self._sensor)
         if contact is not None:
             height = self._gel_mm - deform(contact.depth_mm, self._sensor.mm_per_px)
             points = contact.markers_mm

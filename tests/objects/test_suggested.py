@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 from tacgen.cli import app
 from tacgen.collection.recipe import load_recipe
 from tacgen.core.records import Mesh
-from tacgen.objects.add import add_object
+from tacgen.objects.add import _turned, add_object
 from tacgen.objects.grasp_ranges import FORCES_N, _heights, faces_pads, suggest_places, suggest_yaw
 from tacgen.objects.showing import is_shown
 from tacgen.objects.trial import SUCCESSES, _mixed
@@ -59,6 +59,19 @@ def test_a_mug_is_held_by_its_body_and_not_by_the_middle_of_its_bounding_box():
     assert max(abs(y - axis_mm) for y in ranges["y_mm"]) < 7.0 * 70.0 / 30.0
 
 
+def test_a_mug_is_not_turned_for_its_handle():
+    """The middle of its bounding box is 19 mm off its axis, where other angles would suit."""
+    assert _turned(surface_of(mug()), None)[::2] == (0.0, [])
+
+
+def test_a_mug_whose_handle_lies_under_a_finger_is_turned():
+    """118 mm with its handle do not fit between the fingers, which would meet its rim alone."""
+    across = trimesh.transformations.rotation_matrix(np.pi / 2, [0, 0, 1])
+    yaw_rad, _, notes = _turned(surface_of(mug().apply_transform(across)), None)
+    assert np.degrees(abs(yaw_rad)) > 25.0  # a finger is 20 mm wide, and beside the handle
+    assert "turned by" in notes[0]
+
+
 @pytest.mark.slow
 def test_of_a_large_box_an_edge_is_in_view():
     _, ranges, _ = places_of(trimesh.creation.box(BOX_MM), 0.4)
@@ -77,9 +90,27 @@ def test_a_wrench_of_6_mm_is_held_as_near_the_pads_middle_as_the_table_allows_an
     assert min(abs(y) for y in ranges["y_mm"]) <= 1.0  # by its middle
 
 
-def test_a_tall_box_is_held_where_the_palm_clears_its_top():
-    lowest_mm, *_ = _heights(surface_of(trimesh.creation.box((70.0, 60.0, 213.0))))
+def test_a_tall_box_is_held_where_the_palm_clears_its_top_and_by_its_rim():
+    lowest_mm, *_, below_mm, rim_mm = _heights(
+        surface_of(trimesh.creation.box((70.0, 60.0, 213.0)))
+    )
     assert lowest_mm == 213.0 - 150.0 + 5.0  # the fingers are 150 mm long, and 5 mm are clear
+    assert (below_mm, rim_mm) == (213.0 - 6.0, 213.0 - 3.0)
+
+
+@pytest.mark.slow
+def test_a_bent_bar_is_held_at_several_places_of_the_part_that_lies_along_the_pads():
+    """Of a ring's segment 98 mm long pads meet 29 mm within the window, where it leans 11° at most.
+
+    Its ends are as thick along x as its middle, and lean by 39°.
+    """
+    ring = trimesh.creation.annulus(62.0, 78.0, height=20.0, sections=360)
+    half = trimesh.creation.box((60.0, 200.0, 30.0))
+    half.apply_translation([78.0, 0.0, 0.0])
+    bar = trimesh.boolean.intersection([ring, half], engine="manifold")
+    _, ranges, _ = places_of(bar, 0.1)
+    assert len(ranges["y_mm"]) >= 3
+    assert max(map(abs, ranges["y_mm"])) < 18.0
 
 
 def test_pads_do_not_meet_a_box_that_stands_askew_but_by_its_edges():

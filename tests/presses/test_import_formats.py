@@ -329,6 +329,15 @@ def test_pretrain_holds_few_pictures_at_once(tmp_path, monkeypatch):
     assert found.count == 300
 
 
+def test_names_that_look_like_numbers_stay_names(gs_sdk, tmp_path):
+    (gs_sdk / "9.470mm" / "2").rename(gs_sdk / "0002")
+    table = pd.read_csv(gs_sdk / "catalog.csv")
+    rows = table[table["experiment_reldir"] == "9.470mm/2"].assign(experiment_reldir="0002")
+    rows.to_csv(gs_sdk / "catalog.csv", index=False)
+    assert import_presses("gs-sdk", gs_sdk, tmp_path / "out").count == 1
+    assert (tmp_path / "out" / "0002.png").is_file()
+
+
 def test_nothing_is_written_where_something_is_wrong(gs_sdk, tmp_path):
     (gs_sdk / "9.470mm" / "2" / "gelsight.png").unlink()
     with pytest.raises(PressError, match=r"2/gelsight\.png: missing"):

@@ -302,3 +302,18 @@ def test_holes_in_every_press_cost_only_their_samples(tmp_path):
     assert len(log.rows) == int((~holes).sum())
     assert len(log.warnings) == 6, "five presses are spelled out, the others counted"
     assert "more presses have empty cells" in log.warnings[-1]
+
+
+def test_depths_that_are_all_empty_are_no_press(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("trial,time_s,force_normal_n,depth_mm\n1,0,1.0,\n1,1,2.0,\n")
+    with pytest.raises(PressError, match="no usable press remains") as caught:
+        read_press_log(path, radius_mm=4.0)
+    assert "depth_mm is empty" in str(caught.value)
+
+
+def test_a_column_is_one_quantity(tmp_path):
+    path = write(log_frame(), tmp_path)
+    twice = LogFormat.of_options(["time_s=temperature_c", "x_mm=temperature_c"], [])
+    with pytest.raises(PressError, match="another --column names it too"):
+        read_press_log(path, twice)

@@ -27,7 +27,7 @@ import pandas as pd
 
 from tacgen.diagnose.contact.command import diagnose
 from tacgen.diagnose.contact.result import diagnosis_record, log_notes
-from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
+from tacgen.diagnose.rules import CONTACT, ContactRules
 from tacgen.presses.press_log import read_press_log
 from validation.blind.blind_forms import ALL_NORMAL, ALL_SHEAR, ALL_UNLISTED
 from validation.blind.generator import Case, draw_case
@@ -114,7 +114,7 @@ def split(frame: pd.DataFrame, seed: int) -> tuple[pd.DataFrame, pd.DataFrame]:
     return frame[~away], frame[away]
 
 
-def run(case: Case, seed: int, rules: SelectionRules = DEFAULT_RULES) -> dict[str, Any]:
+def run(case: Case, seed: int, rules: ContactRules = CONTACT) -> dict[str, Any]:
     """The diagnosis of a case, as its JSON, with the law's error on trials kept from it."""
     given, later = split(case.frame, seed)
     with tempfile.TemporaryDirectory() as folder:

@@ -23,13 +23,8 @@ from typing import Any
 import numpy as np
 
 from tacgen.calibrate.contact.law_fit import fit_contact
-from tacgen.diagnose.contact.marker_field import (
-    PARTIAL_SLIP,
-    PLACE,
-    SHIFTED,
-    TURNED,
-    diagnose_markers,
-)
+from tacgen.diagnose.markers.diagnose import diagnose_markers
+from tacgen.diagnose.markers.problem import PARTIAL_SLIP, PLACE, SHIFTED, TURNED
 from tacgen.presses.marker_tracks import read_marker_tracks
 from tacgen.presses.press_log import read_press_log
 from tacgen.rig import RigRecipe, run_rig
@@ -107,7 +102,7 @@ def run_case(case: int, seed: int) -> dict[str, Any]:
         "before_mm": found.before_mm,
         "after_mm": found.after_mm,
         "floor_mm": found.data.noise_mm,
-        "unexplained": found.unexplained,
+        "unexplained": [one.covariate for one in found.unexplained],
         "given": given,
         "cpu_s": time.process_time() - start,
         "record": found.record(),

@@ -23,7 +23,7 @@ import numpy as np
 from tacgen.contact.effects import CHANNELS, Channel
 from tacgen.diagnose.contact.channel import ChannelSamples
 from tacgen.diagnose.contact.model import standard_errors, without_noise_bias
-from tacgen.diagnose.contact.search import Selection
+from tacgen.diagnose.contact.search import ContactProblem
 from validation.contact.cases import (
     NORMAL_FORMS,
     OUTSIDE_FORMS,
@@ -113,7 +113,7 @@ def _trace(
     effects: list[tuple[str, str, int]],
 ) -> Outcome:
     data = ChannelSamples(columns, channel).thinned()
-    result = Selection(data, np.random.default_rng(seed)).run()
+    result = ContactProblem(data, np.random.default_rng(seed)).run()
     chosen = [c.candidate for c in result.chosen]
     covered = None
     if kind == "clean" and channel == "normal":

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from tacgen.core.files import write_text
-from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
+from tacgen.diagnose.rules import CONTACT, ContactRules
 from validation.blind.evaluate import Wanted, draw_wanted, judge, ratios, run
 from validation.blind.generator import draw_case
 
@@ -39,11 +39,11 @@ REMOVED: dict[str, Any] = {
 """The value at which a rule does nothing, for those that can be left out."""
 
 
-def changed_rules(names: list[str], changes: list[str]) -> Iterator[tuple[str, SelectionRules]]:
+def changed_rules(names: list[str], changes: list[str]) -> Iterator[tuple[str, ContactRules]]:
     """(label, rules) of the rules as they are and of every change of one of them."""
-    yield "as they are", DEFAULT_RULES
-    for rule in fields(SelectionRules):
-        value: Any = getattr(DEFAULT_RULES, rule.name)
+    yield "as they are", CONTACT
+    for rule in fields(ContactRules):
+        value: Any = getattr(CONTACT, rule.name)
         if isinstance(value, tuple) or (rule.name not in names):
             continue
         values: dict[str, Any] = {"half": 0.5 * value, "double": 2.0 * value}
@@ -53,7 +53,7 @@ def changed_rules(names: list[str], changes: list[str]) -> Iterator[tuple[str, S
             values["removed"] = REMOVED[rule.name]
         for label, new in values.items():
             if new != value and label in changes:
-                yield f"{rule.name}: {label}", replace(DEFAULT_RULES, **{rule.name: new})
+                yield f"{rule.name}: {label}", replace(CONTACT, **{rule.name: new})
 
 
 def logs(count: int, seed: int) -> Iterator[tuple[int, dict[str, Wanted]]]:
@@ -63,7 +63,7 @@ def logs(count: int, seed: int) -> Iterator[tuple[int, dict[str, Wanted]]]:
         yield seed + index, draw_wanted(KINDS[index % len(KINDS)], STRENGTHS, rng)
 
 
-def diagnosed(seed: int, wanted: dict[str, Wanted], rules: SelectionRules) -> dict[str, Any]:
+def diagnosed(seed: int, wanted: dict[str, Wanted], rules: ContactRules) -> dict[str, Any]:
     """Channels of a log, those that are right, those with a false name, and their errors."""
     case = draw_case(seed, normal=wanted.get("normal", ()), shear=wanted.get("shear", ()))
     record = run(case, seed, rules)
@@ -98,7 +98,7 @@ def table(store: dict[tuple[str, int], dict[str, Any]]) -> str:
 
 def main() -> None:
     """Diagnose what is not kept yet, and write the table."""
-    every = [rule.name for rule in fields(SelectionRules)]
+    every = [rule.name for rule in fields(ContactRules)]
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--logs", type=int, default=20)
     parser.add_argument("--seed", type=int, default=SEED, help="of the first log")

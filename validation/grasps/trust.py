@@ -32,7 +32,7 @@ from tacgen.diagnose.grasps.model_comparison import (
 )
 from tacgen.diagnose.grasps.perturbed_simulations import PerturbedSimulations
 from tacgen.diagnose.grasps.result import diagnose_labels
-from tacgen.diagnose.grasps.rules import RULES
+from tacgen.diagnose.rules import GRASPS
 from tacgen.objects import load_object
 
 SETS: tuple[tuple[tuple[str, ...], int], ...] = (
@@ -198,7 +198,7 @@ def judged(found: Posterior, truth: dict[str, float], objects: Sequence[str]) ->
     result = _judged_by_names(found, truth, objects)
     if not truth or result not in ("missed", "false"):
         return result
-    likely = [one for one in found.same if found.share(one) >= RULES.sentence_least_share]
+    likely = [one for one in found.same if found.share(one) >= GRASPS.sentence_least_share]
     possible = (*likely, *found.alternatives)
     is_reported = any(_is_truth(one, truth, objects) for one in possible)
     return "alternative" if is_reported else result
@@ -212,7 +212,7 @@ def _is_truth(one: Explanation, truth: dict[str, float], objects: Sequence[str])
     if not all(_is_true(cause, truth, objects) for cause in one.causes):
         return False
     apart = np.array([_true_coordinate(cause, truth) - cause.coordinate for cause in one.causes])
-    covariance = one.covariance + RULES.least_variance * np.eye(len(apart))
+    covariance = one.covariance + GRASPS.least_variance * np.eye(len(apart))
     return bool(apart @ np.linalg.solve(covariance, apart) <= DEVIATIONS**2)
 
 

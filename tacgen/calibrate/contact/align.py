@@ -19,6 +19,7 @@ from scipy.optimize import brentq, least_squares, minimize_scalar
 from scipy.special import fdtrc
 
 from tacgen.calibrate.contact.slope_fit import neighbours
+from tacgen.contact.noise import sample_noise
 from tacgen.core.errors import PressError
 from tacgen.core.records import frozen_array
 from tacgen.core.types import BoolArray, FloatArray, IntArray
@@ -383,7 +384,7 @@ def without_zero(log: PressLog) -> PressLog:
 def _rows_at_rest(log: PressLog, bounds: IntArray) -> list[IntArray]:
     """The first rows of each trial, for as long as neither force nor volume leaves its lowest."""
     measured = [log["force_normal_n"], log["volume_mm3"]]
-    noise = [_noise(values, bounds) for values in measured]
+    noise = [sample_noise(values[:, None], bounds) for values in measured]
     return [_rest(start, stop, measured, noise) for start, stop in pairwise(bounds)]
 
 
@@ -406,12 +407,6 @@ def _rest(
         if count < LEAST_ROWS or abs(own[-half:].mean() - own[:half].mean()) > RISE * sigma:
             return np.zeros(0, dtype=np.int64)
     return np.arange(start, start + count, dtype=np.int64)
-
-
-def _noise(values: FloatArray, bounds: IntArray) -> float:
-    """Robust standard deviation of a sample's noise, from second differences within trials."""
-    bends = [np.diff(values[start:stop], 2) for start, stop in pairwise(bounds)]
-    return float(1.4826 * np.median(np.abs(np.concatenate(bends))) / np.sqrt(6.0))
 
 
 def _zero(values: FloatArray, rests: Sequence[IntArray]) -> _Zero | None:

@@ -14,6 +14,7 @@ from scipy.special import fdtrc
 from tacgen.calibrate.contact.align import ContactPoint, align, limits_of, without_zero
 from tacgen.calibrate.contact.slope_fit import SlopeFit, fit_slope
 from tacgen.contact.law import PLAIN_UNITS, ContactLaw
+from tacgen.contact.noise import sample_noise
 from tacgen.core.errors import PressError
 from tacgen.core.records import Estimate
 from tacgen.core.resources import versions
@@ -261,15 +262,11 @@ def _held_out(load: FloatArray, response: FloatArray, trial: IntArray, unit: str
 
 
 def _own_noise(residual: FloatArray, trial: IntArray) -> float:
-    """Robust noise of a sample, of one component: second differences know no slow course."""
-    bends = residual[:-2] - 2.0 * residual[1:-1] + residual[2:]
+    """Noise of a sample, of one component, where presses are long enough to tell it."""
     _, index, counts = np.unique(trial, return_inverse=True, return_counts=True)
-    long = counts[index] >= MIN_SAMPLES_FOR_NOISE
-    bends = bends[(trial[:-2] == trial[2:]) & long[1:-1]]
-    if not len(bends):
-        return float("nan")
-    by_component = 1.4826 * np.median(np.abs(bends), axis=0) / np.sqrt(6.0)
-    return float(np.sqrt((by_component**2).mean()))
+    kept = counts[index] >= MIN_SAMPLES_FOR_NOISE
+    starts = np.flatnonzero(np.diff(trial[kept], prepend=np.nan, append=np.nan) != 0)
+    return sample_noise(residual[kept], starts)
 
 
 def _grouping(log: PressLog, by: str | None) -> str:

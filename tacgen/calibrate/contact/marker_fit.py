@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
+from tacgen.contact.noise import noise_of, second_differences
 from tacgen.core.errors import PressError
 from tacgen.core.records import Estimate, Sensor
 from tacgen.core.types import BoolArray, FloatArray, IntArray
@@ -228,7 +229,7 @@ def _press_frames(
 ) -> FieldData:
     gel = BallShear(sensor, START_DECAY_MM)
     rest = np.where(np.isfinite(tracks.rest_mm), tracks.rest_mm, 0.0)
-    presses, bends = [], []
+    presses, squares = [], []
     for number in np.unique(tracks.press):
         rows = np.flatnonzero(tracks.press == number)
         rows = rows[np.argsort(tracks.time_s[rows], kind="stable")]
@@ -241,7 +242,9 @@ def _press_frames(
         # The dots far from the contact hardly move: what their places bend by is noise.
         away = np.hypot(*(rest - center).T)
         still = motion[:, away >= np.median(away)]
-        bends.append((still[:-2] - 2.0 * still[1:-1] + still[2:]).ravel())
+        courses = np.moveaxis(still, 0, -1).reshape(-1, 1)  # of a coordinate of a dot, one by one
+        starts = np.arange(0, len(courses) + 1, len(still))
+        squares.append(second_differences(courses, starts)[1])
         known = np.isfinite([*center, radius]).all() and np.isfinite(force).all()
         seen: BoolArray = np.asarray(np.isfinite(motion).any(axis=(1, 2)))
         chosen = _chosen(normal, force, seen, most_frames)
@@ -269,10 +272,7 @@ def _press_frames(
             f"contact's place; the shear field needs {LEAST_PRESSES}"
         )
         raise PressError(msg)
-    every = np.concatenate(bends)
-    every = every[np.isfinite(every)]
-    noise = 1.4826 * float(np.median(np.abs(every))) / np.sqrt(6.0) if len(every) else np.nan
-    return FieldData(sensor, tracks, tuple(presses), noise)
+    return FieldData(sensor, tracks, tuple(presses), noise_of(np.concatenate(squares)))
 
 
 def _chosen(normal: FloatArray, force: FloatArray, usable: BoolArray, most: int) -> IntArray:

@@ -9,6 +9,7 @@ import numpy as np
 
 from tacgen.calibrate.lookup.scale import ScaleEvidence
 from tacgen.calibrate.lookup.score import TableScore, score_table
+from tacgen.calibrate.lookup.settings import RULES
 from tacgen.calibrate.lookup.table_fit import Calibration, calibrate
 from tacgen.core.files import refuse_other_page
 from tacgen.optics.dots import filled_in
@@ -16,11 +17,6 @@ from tacgen.optics.table import load_table, save_table
 from tacgen.presses.press_folder import read_presses
 from tacgen.presses.press_images import PressImages
 from tacgen.presses.screening import usable_presses
-
-MANY_PRESSES = 30
-"""From so many presses on, spread over the gel, the held-out error hardly falls any more."""
-CONTRAST_RANGE = (0.8, 1.25)
-"""Contrast of the images over the table's: presses of the table's own sensor stay within it."""
 
 
 def calibrate_lookup(
@@ -84,7 +80,7 @@ def warning_lines(presses: PressImages, scale: ScaleEvidence | None = None) -> I
 
 def contrast_warning(score: TableScore) -> list[str]:
     """A warning where the presses come from other lamps or another sensor than the table."""
-    contrast, (low, high) = score.as_dict()["contrast"], CONTRAST_RANGE
+    contrast, (low, high) = score.as_dict()["contrast"], RULES.contrast_range
     fix = "other lamps or another sensor; calibrate again with `tacgen calibrate lookup`"
     text = f"the images' contrast is {contrast:.2f} of the table's: {fix}"
     return [] if low <= contrast <= high else [text]
@@ -135,9 +131,9 @@ def what_to_press_next(presses: PressImages, made: Calibration) -> list[str]:
         f"The steepest slope in the presses is {np.degrees(made.table.max_slope_rad):.0f}°; "
         "steeper ones are rendered like it. A smaller ball or a deeper press reaches further."
     )
-    if presses.n_experiments < MANY_PRESSES:
+    if presses.n_experiments < RULES.many_presses:
         advice.append(
-            f"{presses.n_experiments} presses; with {MANY_PRESSES} to 50 the error settles."
+            f"{presses.n_experiments} presses; with {RULES.many_presses} to 50 the error settles."
         )
     return advice
 

@@ -17,24 +17,6 @@ from tacgen.optics.table import features
 from tacgen.presses.experiments import per_experiment
 from tacgen.presses.press_images import PressImages, label_mm, place_mm
 
-BLOCK_PX = 8  # side of the blocks that take turns in estimating and scoring: those of JPEG
-
-BARE_BEYOND_RADII = 2.2
-"""Pixels farther from a contact's centre than this many contact radii count as bare gel."""
-
-MIN_VIEWS = 3  # presses that must leave a pixel bare for their median to be used there
-
-LIGHT_SMOOTH = 0.05
-"""Width, as a share of the image's, of the Gaussian that leaves the light of the reference image:
-a table's nodes of position stand as far apart."""
-
-_FINE_SIGMA_PX = 4.0  # a Gaussian of this width is as good as any wider one, on fewer pixels
-_COARSE_PX = 160  # width of the images that the drift is estimated on: light drifts smoothly
-
-_CARRIED_OVER = 0.05
-"""Width, as a share of the image's, of the Gaussian that carries the drift over to pixels that
-too few presses leave bare."""
-
 
 @dataclass(frozen=True, slots=True)
 class Pixels:
@@ -65,7 +47,7 @@ class Pixels:
     @property
     def odd_block(self) -> BoolArray:
         """Which of the two sets of a chess board of 8×8 blocks each pixel belongs to."""
-        return np.asarray((self.rows // BLOCK_PX + self.columns // BLOCK_PX) % 2 == 1)
+        return np.asarray((self.rows // RULES.block_px + self.columns // RULES.block_px) % 2 == 1)
 
 
 def disc_pixels(
@@ -197,7 +179,7 @@ def _light(presses: PressImages) -> FloatArray:
     gel = presses.background.astype(np.float32)
     if presses.dots is not None:
         gel = filled_in(gel, presses.dots)
-    smooth = _blur(gel, LIGHT_SMOOTH * presses.shape_px[1])
+    smooth = _blur(gel, RULES.light_smooth_share * presses.shape_px[1])
     return np.asarray(smooth / max(float(smooth.mean()), 1.0) - 1.0)
 
 
@@ -206,7 +188,7 @@ def _blur(image: FloatArray, sigma_px: float) -> FloatArray:
     if sigma_px <= 0:
         return image
     source = np.ascontiguousarray(image, dtype=np.float32)
-    step = int(sigma_px / _FINE_SIGMA_PX)
+    step = int(sigma_px / RULES.fine_sigma_px)
     if step < 2:
         return np.asarray(cv2.GaussianBlur(source, (0, 0), sigma_px, borderType=cv2.BORDER_REFLECT))
     # A wide Gaussian cannot tell the means of few pixels from the pixels.
@@ -220,14 +202,16 @@ def _blur(image: FloatArray, sigma_px: float) -> FloatArray:
 def _bare_changes(presses: PressImages) -> FloatArray:
     """Image − reference where no press touches (N, h, w, 3), coarse; NaN near the contacts."""
     height, width = presses.shape_px
-    scale = min(1.0, _COARSE_PX / width)
+    scale = min(1.0, RULES.coarse_px / width)
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     reference = coarse(presses.background, size, presses.dots)
     rows, columns = np.mgrid[: size[1], : size[0]]
     changes = np.empty((len(presses), size[1], size[0], 3), np.float32)
     for k in range(len(presses)):
         x, y = (presses.center_px[k] + 0.5) * scale - 0.5
-        bare = np.hypot(columns - x, rows - y) > BARE_BEYOND_RADII * presses.radius_px[k] * scale
+        bare = (
+            np.hypot(columns - x, rows - y) > RULES.bare_beyond_radii * presses.radius_px[k] * scale
+        )
         image = coarse(presses.images[k], size, presses.hidden_in(k))
         changes[k] = np.where(bare[..., None], image - reference, np.nan)
     return changes
@@ -249,7 +233,7 @@ def _bare_gel_change(changes: FloatArray) -> FloatArray:
     Where fewer than three presses leave the gel bare the change is carried over from around.
     """
     views = np.isfinite(changes[..., 0]).sum(axis=0)
-    known = views >= MIN_VIEWS
+    known = views >= RULES.min_views
     median = np.zeros(changes.shape[1:], np.float32)
     if not known.any():
         return median
@@ -258,7 +242,7 @@ def _bare_gel_change(changes: FloatArray) -> FloatArray:
     low, high = (np.take_along_axis(ordered, index[None, ..., None], axis=0)[0] for index in middle)
     median[known] = (0.5 * (low + high))[known]
     weight = known.astype(np.float32)
-    sigma = _CARRIED_OVER * known.shape[1]
+    sigma = RULES.carried_over_share * known.shape[1]
     blurred = _blur(median * weight[..., None], sigma)
     near = blurred / np.maximum(_blur(weight, sigma), 1e-6)[..., None]
     return np.where(known[..., None], median, near)

@@ -24,10 +24,6 @@ from tacgen.presses.experiments import is_clear
 from tacgen.presses.geometry import MAX_RADIUS_SHARE, Membrane, PressedGel, rest_height, rest_slope
 from tacgen.presses.press_images import PressImages, label_mm, place_mm
 
-EXPECTED_RADIUS_SHARE = 0.95
-"""Largest expected contact radius as a share of the ball's: a fit may still go up to
-``MAX_RADIUS_SHARE``."""
-
 ROUGH_DEGREE, ROUGH_POSITION_DEGREE, ROUGH_RIDGE = 4, 3, 1e-4
 """Presses are placed with a model of at most these degrees and at least this ridge: a stiffer one
 moves contacts to explain light, a softer one bends to explain contacts out of place."""
@@ -37,21 +33,6 @@ LABEL_SCATTER_RADII = np.array(
 )
 """Standard deviations of a label's centre and radius, in label radii."""
 
-LARGEST_STEP_RADII = 0.06
-"""Largest Gauss–Newton step of a press's place: the model is linear over no more."""
-
-MEMBRANE_STEP = 2.0
-"""Times a Gauss–Newton step of the gel's rim: the light, which is fitted anew after each, follows
-about half of the way back."""
-
-LARGEST_SHIFT_RADII = 0.5
-"""Largest shift of a label, in label radii: presses close together tell none elsewhere."""
-
-SAME_PLACE_SCATTERS = 2.0
-"""Labels of one press's pictures scatter by less than twice what labels do, or it moved."""
-
-TILT_RIDGES = (0.5, 0.05, 0.005, 0.0005)
-"""On what a label's shift grows by in 10 mm, in presses 10 mm from the centre."""
 
 _TEN_MM = 10.0  # an image's size: over this a label's shift grows by what it is at the centre
 
@@ -77,7 +58,7 @@ class LabelModel:
         radius = self.contact_radius_mm + self.radius_slope * (
             label[..., 2] - self.reference_radius_mm
         )
-        most_mm = LARGEST_SHIFT_RADII * self.reference_radius_mm
+        most_mm = RULES.largest_shift_radii * self.reference_radius_mm
         shift = np.clip(basis @ self.shift_mm, -most_mm, most_mm)
         return np.concatenate([label[..., :2] + shift, radius[..., None]], axis=-1)
 
@@ -93,7 +74,7 @@ def learn_labels(labels: FloatArray, geometry: FloatArray) -> LabelModel:
     basis = np.column_stack([np.ones(len(labels)), labels[:, :2] / _TEN_MM])
     off = (geometry - labels)[:, :2]
     least: FloatArray | None = None
-    for ridge in TILT_RIDGES:
+    for ridge in RULES.tilt_ridges:
         solve = np.linalg.solve(basis.T @ basis + np.diag([0.0, ridge, ridge]), basis.T)
         own = np.einsum("nk,kn->n", basis, solve)  # of each press in what is expected of it
         left_out = (off - basis @ (solve @ off)) / np.maximum(1.0 - own, 1e-3)[:, None]
@@ -364,14 +345,16 @@ def expected_by_label(presses: PressImages, labels: LabelModel) -> FloatArray:
     """
     label = label_mm(presses)
     expected = labels.geometry(label)
-    expected[:, 2] = np.minimum(expected[:, 2], EXPECTED_RADIUS_SHARE * presses.ball_radius_mm)
+    expected[:, 2] = np.minimum(
+        expected[:, 2], RULES.expected_radius_share * presses.ball_radius_mm
+    )
     named = presses.trial is not None and np.isfinite(presses.trial).any()
     if not named and presses.n_experiments < len(presses):
         of_press = (presses.experiment[:, None] == presses.experiment).astype(np.float64)
         of_press /= of_press.sum(axis=1, keepdims=True)
         square = ((label[:, :2] - of_press @ label[:, :2]) ** 2).mean(axis=1)
         apart_radii = np.sqrt(of_press @ (square / label[:, 2] ** 2))
-        at_rest = apart_radii < SAME_PLACE_SCATTERS * RULES.center_scatter_radii
+        at_rest = apart_radii < RULES.same_place_scatters * RULES.center_scatter_radii
         expected[at_rest, :2] = (of_press @ expected[:, :2])[at_rest]
     return expected
 
@@ -432,7 +415,7 @@ def place_press(
             weighted.T @ jacobian + np.diag(prior),
             weighted.T @ (target - value).ravel() - prior * (place - expected),
         )
-        longest = LARGEST_STEP_RADII * label_mm
+        longest = RULES.largest_step_radii * label_mm
         place += np.clip(step, -longest, longest)
         place[2] = np.clip(place[2], 0.1 * label_mm, MAX_RADIUS_SHARE * ball_mm)
         if np.abs(step).max() < tolerance * label_mm:
@@ -489,7 +472,7 @@ def _refine_membrane(
         normal_matrix += weighted.T @ jacobian
         moment += weighted.T @ error.ravel()
     damped = normal_matrix + 1e-3 * np.trace(normal_matrix) * np.eye(2)
-    step = np.clip(MEMBRANE_STEP * np.linalg.solve(damped, moment), -0.4, 0.4)
+    step = np.clip(RULES.membrane_step * np.linalg.solve(damped, moment), -0.4, 0.4)
     radius = press_model.labels.contact_radius_mm
     return Membrane(
         decay_mm=float(np.clip(now.decay_mm * np.exp(step[0]), 0.05 * radius, 3.0 * radius)),

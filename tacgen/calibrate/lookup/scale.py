@@ -16,29 +16,11 @@ import numpy as np
 from tacgen.calibrate.lookup.model_choice import fold_of, held_out_squares
 from tacgen.calibrate.lookup.prepared import PreparedPresses
 from tacgen.calibrate.lookup.press_fit import JointFit, place_jointly, press_sums
-from tacgen.calibrate.lookup.settings import RULES, SMOOTH_WITH_DRIFT, FitSettings
+from tacgen.calibrate.lookup.settings import RULES, SMOOTH_WITH_DRIFT
 from tacgen.core.types import FloatArray
 from tacgen.optics.dots import find_spots, nearest_px
 from tacgen.presses.experiments import per_experiment
 from tacgen.presses.press_images import PressImages
-
-MIN_RULER_PRESSES = 4  # two places fix a scale and a turn; as many more tell the error
-MAX_CONDITION = 100.0  # of places: spread in one direction ten times as far as across it
-MIN_RATIO_PRESSES = 3  # presses of a second ball that its size is judged from
-
-UNEVEN_LIGHT = 0.005
-"""Light that changes across the picture moves the centres that are found in it, by up to this
-share of their distances."""
-
-RIM_EXCESS = 1.05  # the rim that is seen in a picture lies outside the contact by up to this factor
-
-RADIUS_FACTORS = (0.9, 0.95, 1.0, 1.05, 1.1)
-"""Factors on the stated radius that are tried; the best is interpolated."""
-
-RATIO_SETTINGS = FitSettings(degree=4, position_degree=2, ridge=1e-4)
-"""A model of few terms tells the size of a ball as well and is fitted five times a ball."""
-
-BOOTSTRAPS = 200  # draws of presses: the standard error of a ratio to 5 %
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +107,7 @@ def _stage_and_places(presses: PressImages, fit: JointFit) -> tuple[FloatArray, 
         return None
     known = np.isfinite(presses.stage_mm).all(axis=1)
     each = presses.experiment[known]
-    if len(np.unique(each)) < MIN_RULER_PRESSES:
+    if len(np.unique(each)) < RULES.min_ruler_presses:
         return None
     stage = per_experiment(presses.stage_mm[known], each)
     place = per_experiment(fit.geometry[known, :2], each) / presses.mm_per_px
@@ -139,7 +121,10 @@ def stretch_by_stage(presses: PressImages, fit: JointFit) -> Stretch | None:
         return None
     stage, place = places
     inverse = np.linalg.pinv(stage.T @ stage)
-    if len(stage) < MIN_RULER_PRESSES + 1 or np.linalg.cond(stage.T @ stage) > MAX_CONDITION:
+    if (
+        len(stage) < RULES.min_ruler_presses + 1
+        or np.linalg.cond(stage.T @ stage) > RULES.max_condition
+    ):
         return None
     px_per_mm = inverse @ stage.T @ place  # (2, 2): the column of a picture's axis
     left = place - stage @ px_per_mm
@@ -152,7 +137,7 @@ def stretch_by_stage(presses: PressImages, fit: JointFit) -> Stretch | None:
         for axis, length in zip(px_per_mm.T, size, strict=True)
     ]
     factor = float(size[1] / size[0])
-    return Stretch(factor, factor * float(np.sqrt(sum(shares) + 2 * UNEVEN_LIGHT**2)))
+    return Stretch(factor, factor * float(np.sqrt(sum(shares) + 2 * RULES.uneven_light_share**2)))
 
 
 def by_stage(presses: PressImages, fit: JointFit) -> Ruler | None:
@@ -174,7 +159,7 @@ def by_stage(presses: PressImages, fit: JointFit) -> Ruler | None:
     scatter = np.sqrt(left / (2 * len(place) - 4) / power) / px_per_mm
     middle, either = _of_contact_or_ball(presses)
     value = middle / px_per_mm
-    error = value * float(np.sqrt(scatter**2 + UNEVEN_LIGHT**2 + either**2))
+    error = value * float(np.sqrt(scatter**2 + RULES.uneven_light_share**2 + either**2))
     return Ruler("the stage's places", value, error, len(place))
 
 
@@ -208,7 +193,7 @@ def largest_scale(presses: PressImages) -> float:
     """The largest mm/px at which every contact is no wider than its ball."""
     if presses.seen_px is None or not np.isfinite(presses.seen_px[:, 2]).any():
         return float("inf")
-    bounds = presses.ball_radius_mm * RIM_EXCESS / presses.seen_px[:, 2]
+    bounds = presses.ball_radius_mm * RULES.rim_excess / presses.seen_px[:, 2]
     # The widest tenth, so that one misread circle does not set the bound.
     return float(np.nanquantile(bounds, 0.1))
 
@@ -221,7 +206,7 @@ def ball_ratios(prepared: PreparedPresses, fit: JointFit) -> tuple[BallRatio, ..
     return tuple(
         _ratio(prepared, fit, float(radius), float(reference))
         for radius, count in zip(radii, counts, strict=True)
-        if radius != reference and count >= MIN_RATIO_PRESSES
+        if radius != reference and count >= RULES.min_ratio_presses
     )
 
 
@@ -229,14 +214,14 @@ def _ratio(prepared: PreparedPresses, fit: JointFit, radius: float, reference: f
     """Profile of the held-out error over the ball's radius; scatter by bootstrap over presses."""
     stated = prepared.presses.ball_radius_mm
     profile = []
-    for factor in RADIUS_FACTORS:
+    for factor in RULES.radius_factors:
         balls = np.where(stated == radius, factor * radius, stated)
         presses = replace(prepared.presses, ball_radius_mm=balls)
         profile.append(_squares(replace(prepared, presses=presses), fit))
     squares = per_experiment(np.array(profile).T, prepared.presses.experiment).T
     count = squares.shape[1]
     rng = np.random.default_rng(count)
-    draws = [rng.integers(0, count, count) for _ in range(BOOTSTRAPS)]
+    draws = [rng.integers(0, count, count) for _ in range(RULES.bootstraps)]
     factors = [_lowest(squares[:, draw].sum(axis=1)) for draw in draws]
     return BallRatio(radius, reference, _lowest(squares.sum(axis=1)), float(np.std(factors)))
 
@@ -244,19 +229,19 @@ def _ratio(prepared: PreparedPresses, fit: JointFit, radius: float, reference: f
 def _squares(prepared: PreparedPresses, fit: JointFit) -> FloatArray:
     """Squared error (N,) of each press by a model of the others, all placed anew."""
     background = prepared.backgrounds[SMOOTH_WITH_DRIFT]
-    placed = place_jointly(prepared, background, RATIO_SETTINGS, start=fit, iterations=3)
+    placed = place_jointly(prepared, background, RULES.ratio_settings, start=fit, iterations=3)
     samples = prepared.samples(background, RULES.pixels_for_ratio)
     sums = [
-        press_sums(sample, place, placed.press_model, RATIO_SETTINGS, sample.change)
+        press_sums(sample, place, placed.press_model, RULES.ratio_settings, sample.change)
         for sample, place in zip(samples, placed.geometry, strict=True)
     ]
     folds = fold_of(prepared.presses.experiment)
-    return held_out_squares(sums, folds, RATIO_SETTINGS)[:, 0]
+    return held_out_squares(sums, folds, RULES.ratio_settings)[:, 0]
 
 
 def _lowest(squares: FloatArray) -> float:
     """Where a parabola through the profile is lowest, within the factors that were tried."""
-    factors = np.array(RADIUS_FACTORS)
+    factors = np.array(RULES.radius_factors)
     middle = int(np.clip(np.argmin(squares), 1, len(factors) - 2))
     near = slice(middle - 1, middle + 2)
     bend, slope, _ = np.polyfit(factors[near] - factors[middle], squares[near], 2)

@@ -85,6 +85,55 @@ class LookupRules:
     )
     n_folds: int = 5  # of whole presses, to choose and to score
 
+    # How a press is placed
+    expected_radius_share: float = 0.95  # of the ball's radius, the largest expected contact: a fit
+    # may still go up to ``MAX_RADIUS_SHARE``
+    largest_step_radii: float = 0.06  # of a Gauss–Newton step: the model is linear over no more
+    membrane_step: float = 2.0  # times a step of the gel's rim: the light, which is fitted anew
+    # after each, follows about half of the way back
+    largest_shift_radii: float = 0.5  # of a label: presses close together tell none elsewhere
+    same_place_scatters: float = 2.0  # labels of one press scatter by less times what labels do
+    tilt_ridges: tuple[float, ...] = (0.5, 0.05, 0.005, 0.0005)  # on what a label's shift grows by
+    # in 10 mm, in presses 10 mm from the centre
+
+    # The light of the gel at rest and its drift
+    block_px: int = 8  # side of the blocks that take turns in estimating and scoring: JPEG's
+    bare_beyond_radii: float = 2.2  # from a contact's centre the gel is bare
+    min_views: int = 3  # presses that must leave a pixel bare for their median to be used there
+    light_smooth_share: float = 0.05  # of the image's width, the Gaussian that leaves the light of
+    # the reference: a table's nodes of position stand as far apart
+    fine_sigma_px: float = 4.0  # a Gaussian this wide is as good as a wider one on fewer pixels
+    coarse_px: int = 160  # width that the drift is estimated on: light drifts smoothly
+    carried_over_share: float = 0.05  # of the image's width, the Gaussian that carries the drift to
+    # pixels that too few presses leave bare
+
+    # The table's nodes
+    n_slope: int = 48  # of its coefficients; with
+    n_direction: int = 120  # interpolation adds less than 0.1 grey levels
+    response_slopes: int = 32  # of its response to a slope,
+    response_directions: int = 64  # its direction,
+    response_places: int = 25  # and position along the image's longer side
+    images_for_noise: int = 12  # the camera's noise is the same in every image
+    beyond_steepest: float = 1.02  # times the steepest slope of the presses, where the table ends
+
+    # Scale and size of the balls
+    min_ruler_presses: int = 4  # two places fix a scale and a turn; as many more tell the error
+    max_condition: float = 100.0  # of places: spread in one direction ten times as far as across
+    min_ratio_presses: int = 3  # of a second ball that its size is judged from
+    uneven_light_share: float = 0.005  # of their distances, that light which changes across the
+    # picture moves the centres found in it by
+    rim_excess: float = 1.05  # the rim that is seen lies outside the contact by up to this factor
+    radius_factors: tuple[float, ...] = (0.9, 0.95, 1.0, 1.05, 1.1)  # tried on the stated radius;
+    # the best is interpolated
+    ratio_settings: FitSettings = FitSettings(degree=4, position_degree=2, ridge=1e-4)  # few terms
+    # tell the size of a ball as well and are fitted five times a ball
+    bootstraps: int = 200  # draws of presses: the standard error of a ratio to 5 %
+
+    # What is warned of
+    many_presses: int = 30  # spread over the gel: the held-out error hardly falls any more
+    contrast_range: tuple[float, float] = (0.8, 1.25)  # of the images over the table's: presses of
+    # the table's own sensor stay within it
+
     # A disagreement in scale or radius is reported beyond so many standard errors and this share.
     clear_sigmas: float = 3.0
     clear_share: float = 0.02

@@ -28,17 +28,7 @@ from tacgen.optics.table import ContactLight, LookupTable, features
 from tacgen.presses.geometry import PressedGel, rest_slope
 from tacgen.presses.press_images import PressImages, label_mm, place_mm
 
-N_SLOPE, N_DIRECTION = 48, 120
-"""Nodes of a table's coefficients: so many that interpolation adds less than 0.1 grey levels."""
-
-RESPONSE_SLOPES, RESPONSE_DIRECTIONS, RESPONSE_PLACES = 32, 64, 25
-"""Nodes of a table's response to a slope, and of position along the image's longer side."""
-
-IMAGES_FOR_NOISE = 12  # the camera's noise is the same in every image: a dozen give it
-
 WHOLE = -1  # in place of the number of a fold: no press is held out
-
-BEYOND_STEEPEST = 1.02  # the table ends a little above the steepest slope that the presses hold
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,7 +163,7 @@ def _looked_up(
     """The quadratic in position, the response nearest which it is, and what a contact adds."""
     model = fit.model
     height, width = prepared.presses.shape_px
-    per_side = (RESPONSE_PLACES - 1) / max(height, width)
+    per_side = (RULES.response_places - 1) / max(height, width)
     n_rows, n_columns = (max(2, 1 + round(side * per_side)) for side in (height, width))
     v = np.repeat(np.linspace(-0.5, 0.5, n_rows), n_columns)
     u = np.tile(np.linspace(-0.5, 0.5, n_columns), n_rows)
@@ -184,15 +174,15 @@ def _looked_up(
         turn = np.arange(n_direction) / n_direction
         return np.linspace(0.0, steepest_rad, n_slope), -np.pi + 2 * np.pi * turn
 
-    slope_rad, direction_rad = nodes(RESPONSE_SLOPES, RESPONSE_DIRECTIONS)
+    slope_rad, direction_rad = nodes(RULES.response_slopes, RULES.response_directions)
     # Half precision: a twentieth of a grey level in a change of a hundred, in half the file.
     response = model.responses(slope_rad, direction_rad, position)
     quadratic = np.einsum("fp,sdpc->sdfc", np.linalg.pinv(features(u, v)), response)[..., None, :]
-    slope_rad, direction_rad = nodes(N_SLOPE, N_DIRECTION)
+    slope_rad, direction_rad = nodes(RULES.n_slope, RULES.n_direction)
     tangent = np.tan(slope_rad)[:, None]
     gx, gy = tangent * np.cos(direction_rad), tangent * np.sin(direction_rad)
     coefficients = between_nodes(quadratic, steepest_rad, gx, gy)[..., 0, :].swapaxes(-1, -2)
-    shape = (RESPONSE_SLOPES, RESPONSE_DIRECTIONS, n_rows, n_columns, 3)
+    shape = (RULES.response_slopes, RULES.response_directions, n_rows, n_columns, 3)
     return (
         coefficients.astype(np.float32),
         response.reshape(shape).astype(np.float16).astype(np.float32),
@@ -202,7 +192,7 @@ def _looked_up(
 
 def camera_noise_grey(presses: PressImages) -> float:
     """Standard deviation of the camera's noise: the median of some of the pictures."""
-    images = presses.images[:: max(1, len(presses) // IMAGES_FOR_NOISE)]
+    images = presses.images[:: max(1, len(presses) // RULES.images_for_noise)]
     return float(np.median([image_noise_grey(image) for image in images]))
 
 
@@ -230,7 +220,7 @@ def steepest_slope_rad(presses: PressImages, fit: JointFit) -> float:
         r = np.linspace(0.0, float(ball_radius_mm), 400)
         shape = float(radius), float(ball_radius_mm), model.membrane, model.dome_radius_mm
         steepest = max(steepest, float(np.arctan(PressedGel(*shape).radial_slope(r)).max()))
-    return min(BEYOND_STEEPEST * steepest, math.pi / 2)
+    return min(RULES.beyond_steepest * steepest, math.pi / 2)
 
 
 def without_rest(

@@ -20,7 +20,7 @@ from scipy.optimize import nnls
 from tacgen.contact.effects import Channel, LoadHistory
 from tacgen.contact.effects.kernels import moving_mean
 from tacgen.core.types import BoolArray, FloatArray
-from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
+from tacgen.diagnose.rules import CONTACT, ContactRules
 from tacgen.presses.press_log import SHEAR_MOTIONS, Columns
 
 TARGETS: dict[Channel, tuple[str, ...]] = {"normal": ("volume_mm3",), "shear": SHEAR_MOTIONS}
@@ -46,7 +46,7 @@ class ChannelData:
     """
 
     channel: Channel
-    rules: SelectionRules
+    rules: ContactRules
     history: LoadHistory
     columns: Columns
     target: FloatArray
@@ -176,7 +176,7 @@ class ChannelSamples:
         self,
         columns: Columns,
         channel: Channel,
-        rules: SelectionRules = DEFAULT_RULES,
+        rules: ContactRules = CONTACT,
         session: "ChannelSamples | None" = None,
     ) -> None:
         self.columns, self.channel, self.rules = columns, channel, rules
@@ -247,7 +247,7 @@ def linear_compliance(load: FloatArray, target: FloatArray) -> float:
 
 
 def _pairs(
-    starts: NDArray[np.int64], rules: SelectionRules
+    starts: NDArray[np.int64], rules: ContactRules
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The rows (M,) that another of their trial follows, and the unit (M,) of each such pair."""
     n_trials = starts.size - 1

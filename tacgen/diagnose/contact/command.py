@@ -1,6 +1,5 @@
 """Diagnose a press log: fit, trace, score on held-out trials, and extend the contact law."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -18,18 +17,20 @@ from tacgen.calibrate.contact.marker_fit import load_tracks
 from tacgen.contact.effects import CHANNELS, Channel
 from tacgen.contact.law import ContactLaw, FittedEffect, save_law
 from tacgen.core.errors import PressError
-from tacgen.core.files import refuse_other_page, write_text
+from tacgen.core.files import refuse_other_page
 from tacgen.core.processes import map_in_processes
 from tacgen.core.records import Estimate
 from tacgen.core.resources import versions
 from tacgen.diagnose.contact import heldout, result
 from tacgen.diagnose.contact.channel import TARGETS, ChannelData, ChannelSamples, noise_floor
 from tacgen.diagnose.contact.heldout import Errors
-from tacgen.diagnose.contact.marker_field import diagnose_markers
 from tacgen.diagnose.contact.model import Fit, Model, fit_model, standard_errors, without_noise_bias
-from tacgen.diagnose.contact.residuals import Dependence, dependences
-from tacgen.diagnose.contact.rules import DEFAULT_RULES, SelectionRules
-from tacgen.diagnose.contact.search import Attribution, Selection
+from tacgen.diagnose.contact.residuals import dependences
+from tacgen.diagnose.contact.search import Attribution, ContactProblem
+from tacgen.diagnose.evidence import Dependence
+from tacgen.diagnose.markers.diagnose import diagnose_markers
+from tacgen.diagnose.record import write_record
+from tacgen.diagnose.rules import CONTACT, ContactRules
 from tacgen.presses.lab_table import LogFormat
 from tacgen.presses.press_log import PLAIN, SHEAR_FORCES, Columns
 
@@ -91,8 +92,7 @@ def diagnose_log(
     diagnosis = replace(diagnosis, law=law)
     save_law(law, out / "contact.yaml")
     write_report(diagnosis, out / "report.html", title=f"Diagnosis of {path.name}")
-    record = result.diagnosis_record(diagnosis)
-    write_text(out / "diagnosis.json", json.dumps(record, indent=1, ensure_ascii=False) + "\n")
+    write_record(result.diagnosis_record(diagnosis), out)
     return diagnosis
 
 
@@ -102,7 +102,7 @@ def diagnose(
     notes: Sequence[str] = (),
     session_clock: bool = True,
     volume_stderr_share: float = 0.0,
-    rules: SelectionRules = DEFAULT_RULES,
+    rules: ContactRules = CONTACT,
 ) -> result.Diagnosis:
     """Diagnose the columns (N,) of a press log, as ``PressLog.columns`` has them.
 
@@ -165,7 +165,7 @@ class _Channel:
         columns: Columns,
         channel: Channel,
         session_clock: bool,
-        rules: SelectionRules,
+        rules: ContactRules,
         response_stderr_share: float,
     ) -> None:
         self._columns, self._channel, self._rules = columns, channel, rules
@@ -200,7 +200,7 @@ class _Channel:
     def choice(self, samples: ChannelSamples) -> Attribution:
         """The choice on all trials, described, or on those to fit."""
         rng = np.random.default_rng(SEED)
-        selection = Selection(samples.thinned(), rng, session_clock=self._session_clock)
+        selection = ContactProblem(samples.thinned(), rng, session_clock=self._session_clock)
         return selection.run() if samples is self.every else selection.choose()
 
     def diagnosis(self, choices: Sequence[Attribution]) -> result.ChannelDiagnosis:
@@ -234,6 +234,7 @@ class _Channel:
             final_errors=standard_errors(data, final),
             before=before,
             after=after,
+            scale=self._rms,
             gain_interval=heldout.gain_interval(before, after, rng, rules),
             floor=noise_floor(left, samples.history.starts),
             n_spikes=int((every.precision == 0).sum()),
@@ -257,7 +258,7 @@ class _Channel:
         for fit in (attribution.base.fit, attribution.final.fit):
             model = _refitted(data, fit.model).model
             residual = rows.target - model.law_response(rows)
-            found.append(heldout.errors(residual[kept], rows.history.trial[kept], self._rms))
+            found.append(heldout.errors(residual[kept], rows.history.trial[kept]))
         return found[0], found[1]
 
     def _gp_rmse(self, fitted: ChannelSamples, test: ChannelSamples, linear: Model) -> float:
@@ -287,9 +288,9 @@ def _unexplained(
     explained = max(base.loss - final.loss, 0.0) / max(base.loss, 1e-300)
     of_form = rules.form_share_left * explained * base.loss / (2 * data.noise_loss)
     least = max(data.min_gain, of_form)
-    left = [d for d in structure if d.p_value <= rules.alpha and d.share > least]
+    left = [d for d in structure if d.p_value <= rules.alpha and d.gain > least]
     if not found and left:
-        found.append(max(left, key=lambda d: d.share))
+        found.append(max(left, key=lambda d: d.gain))
     return tuple(found)
 
 
@@ -338,7 +339,7 @@ def _numbered_in_order(columns: Columns, *, session_clock: bool) -> dict[str, ND
 
 
 def _usable_columns(
-    columns: Columns, channel: Channel, rules: SelectionRules
+    columns: Columns, channel: Channel, rules: ContactRules
 ) -> tuple[dict[str, NDArray[Any]] | None, str]:
     """Rows in which the channel was measured, and how many are not; or None and why."""
     forces, targets = FORCES[channel], TARGETS[channel]

@@ -15,7 +15,8 @@ from scipy.spatial.distance import cdist
 from tacgen.core.types import BoolArray, FloatArray
 from tacgen.diagnose.contact.channel import ChannelData
 from tacgen.diagnose.contact.residuals import covariates_of
-from tacgen.diagnose.contact.rules import SelectionRules
+from tacgen.diagnose.evidence import interval_95, resampled_squares
+from tacgen.diagnose.rules import ContactRules
 from tacgen.presses.press_log import Columns
 
 TRIALS_PER_TEST_TRIAL = 4  # one in so many is held out
@@ -29,7 +30,6 @@ class Errors:
     """Root-mean-square error on held-out trials, and each trial's sum of squares."""
 
     rmse: float
-    nrmse: float
     squares: FloatArray
 
 
@@ -58,23 +58,19 @@ def select(columns: Columns, mask: BoolArray) -> dict[str, NDArray[Any]]:
     return {name: np.asarray(values)[mask] for name, values in columns.items()}
 
 
-def errors(residual: FloatArray, trial: FloatArray, scale: float) -> Errors:
-    """Errors of a residual (N, C): RMS over samples and outputs, and the same over ``scale``."""
+def errors(residual: FloatArray, trial: FloatArray) -> Errors:
+    """Errors of a residual (N, C): RMS over samples and outputs."""
     _, inverse = np.unique(trial, return_inverse=True)
     squares = np.bincount(inverse, (residual**2).mean(axis=1)).astype(np.float64)
-    rmse = float(np.sqrt(squares.sum() / inverse.size))
-    return Errors(rmse, rmse / scale, squares)
+    return Errors(float(np.sqrt(squares.sum() / inverse.size)), squares)
 
 
 def gain_interval(
-    before: Errors, after: Errors, rng: np.random.Generator, rules: SelectionRules
+    before: Errors, after: Errors, rng: np.random.Generator, rules: ContactRules
 ) -> tuple[float, float]:
     """95 % interval of 1 − error_after/error_before, by resampling the held-out trials."""
-    n = before.squares.size
-    drawn = rng.integers(0, n, size=(rules.n_shuffles, n))
-    ratio = after.squares[drawn].sum(axis=1) / np.maximum(before.squares[drawn].sum(axis=1), 1e-300)
-    low, high = np.quantile(1.0 - np.sqrt(ratio), [0.025, 0.975])
-    return float(low), float(high)
+    drawn = resampled_squares(before.squares, after.squares, rules.n_shuffles, rng)
+    return interval_95(1.0 - np.sqrt(drawn[1] / np.maximum(drawn[0], 1e-300)))
 
 
 def features(fit_data: ChannelData, test_data: ChannelData) -> tuple[FloatArray, FloatArray]:

@@ -25,7 +25,7 @@ from tacgen.diagnose.contact.candidates import effect_candidates
 from tacgen.diagnose.contact.channel import TARGETS, ChannelData
 from tacgen.diagnose.contact.model import prediction_and_jacobian
 from tacgen.diagnose.contact.result import Diagnosis
-from tacgen.diagnose.contact.search import Attribution, CandidateSets, FittedSet
+from tacgen.diagnose.contact.search import Attribution, ContactProblem, FittedSet
 from tacgen.presses.press_log import Columns
 
 SEED = 0x9E55  # of shuffles on which no proposal depends
@@ -108,7 +108,7 @@ def _fitted_explanations(
     data: ChannelData, attribution: Attribution, candidates: Sequence[Columns], session_clock: bool
 ) -> list[_Explanation]:
     rng = np.random.default_rng(SEED)
-    sets = CandidateSets(data, rng, session_clock=session_clock)
+    sets = ContactProblem(data, rng, session_clock=session_clock)
     extended, rows = _with_presses(data, candidates)
     found = []
     for one in _explanations(sets, attribution):
@@ -122,7 +122,7 @@ def _fitted_explanations(
     return found
 
 
-def _explanations(sets: CandidateSets, attribution: Attribution) -> list[FittedSet]:
+def _explanations(sets: ContactProblem, attribution: Attribution) -> list[FittedSet]:
     """The law that was found, without each of its effects, and with one other or one more."""
     base = sets.fitted((), attribution.base.fit.model)
     final = base

@@ -11,6 +11,7 @@ from tacgen.core.types import FloatArray
 from tacgen.diagnose.contact.model import Fit
 from tacgen.diagnose.contact.residuals import covariates_of
 from tacgen.diagnose.contact.result import ChannelDiagnosis, Diagnosis, diagnosis_record
+from tacgen.diagnose.record import VERDICTS
 from tacgen.report import figures as plots
 from tacgen.report.formatting import unit_text
 from tacgen.report.page import write_page
@@ -32,7 +33,7 @@ def write_report(diagnosis: Diagnosis, path: Path, *, title: str) -> None:
         path,
         title,
         summary=" ".join(f"{name.capitalize()}: {c['sentence']}" for name, c in channels.items()),
-        verdict=next((v for v in ("unexplained", "effect_found") if v in verdicts), "sufficient"),
+        verdict=next(one for one in VERDICTS if one in verdicts),
         template="contact_diagnosis.html",
         made_by="diagnose contact",
         record=record,

@@ -1,7 +1,7 @@
 """What the residual of a model still depends on."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -13,23 +13,11 @@ from tacgen.diagnose.contact import scores
 from tacgen.diagnose.contact.candidates import follows_load, known_columns, max_levels
 from tacgen.diagnose.contact.channel import TARGETS, ChannelData
 from tacgen.diagnose.contact.model import Fit
+from tacgen.diagnose.evidence import Dependence
 
 DEGREE = 3  # in a covariate that a residual is tested for
 NAMED = ("x_mm", "y_mm", "radius_mm", "temperature_c", "indenter")
 """Columns of a press log that a residual may follow; every column that is not known may too."""
-
-
-@dataclass(frozen=True)
-class Dependence:
-    """How strongly a residual follows a covariate.
-
-    ``p_value`` is corrected for the number of covariates; ``share`` is the part of the held-out
-    sum of squares (noise included) that a smooth function of the covariate explains.
-    """
-
-    covariate: str
-    p_value: float
-    share: float
 
 
 def covariates_of(data: ChannelData, skip: Sequence[str] = ()) -> dict[str, NDArray[Any]]:
@@ -69,7 +57,8 @@ def dependences(
     """Test the residual of ``fit`` against every covariate, strongest first.
 
     Units of resampling are trials (`scores.p_values`); each covariate enters as a
-    cubic, or as levels, on the compliance and added.
+    cubic, or as levels, on the compliance and added; its gain is the share of the held-out sum of
+    squares, noise included, that this explains.
     """
     response = fit.model.law_response(data)
     blocks: dict[str, FloatArray] = {}
@@ -94,7 +83,7 @@ def dependences(
         Dependence(name, float(p), float(without - loss) / total)
         for name, p, loss in zip(blocks, p_values, losses, strict=True)
     ]
-    return tuple(sorted(found, key=lambda d: (d.p_value, -d.share)))
+    return tuple(sorted(found, key=lambda d: (d.p_value, -d.gain)))
 
 
 def _basis(values: NDArray[Any], most_levels: int) -> list[FloatArray]:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -12,30 +12,29 @@ from tacgen.calibrate.contact.slope_fit import SlopeFit
 from tacgen.contact.effects import Where, separating_measurement
 from tacgen.contact.law import PLAIN_UNITS, ContactLaw
 from tacgen.core.records import Estimate
+from tacgen.diagnose import record
 from tacgen.diagnose.contact.candidates import follows_load, known_columns, max_levels
 from tacgen.diagnose.contact.channel import OUTLIER_SIGMAS, ChannelData
 from tacgen.diagnose.contact.heldout import Errors
-from tacgen.diagnose.contact.marker_field import MarkerDiagnosis
 from tacgen.diagnose.contact.model import Fit, StandardErrors, Term
-from tacgen.diagnose.contact.residuals import Dependence
 from tacgen.diagnose.contact.search import Attribution, Chosen
+from tacgen.diagnose.evidence import Dependence
+from tacgen.diagnose.markers.diagnose import MarkerDiagnosis
+from tacgen.diagnose.record import finite
 from tacgen.presses.press_log import PressLog
-from tacgen.report.formatting import unit_text
 
-SCHEMA = 1  # of diagnosis.json; a key that changes its meaning makes it 2
-Verdict = Literal["sufficient", "effect_found", "unexplained"]
 MOST_OF_ALL = 0.5  # of the residual in one trial: that is worth a look
-_CLEARLY_MORE = 1.5  # times the noise floor: the residual is no longer called noise
 
 
 @dataclass(frozen=True)
-class ChannelDiagnosis:
+class ChannelDiagnosis(record.Summarised):
     """What one channel's residual was traced to.
 
     ``base`` and ``final`` are fits to all trials, of which the effects are chosen. ``before`` and
     ``after`` are errors on held-out trials: of a law that was chosen and fitted without them, with
-    the ``scored_effects``. ``how`` says how the trials were held out; ``floor`` is the standard
-    deviation of one sample's noise. ``linear`` is the law without effects, as a calibration has it.
+    the ``scored_effects``; ``scale`` is the RMS of what is measured. ``how`` says how the trials
+    were held out; ``floor`` is the standard deviation of one sample's noise. ``linear`` is the law
+    without effects, as a calibration has it.
     """
 
     data: ChannelData
@@ -48,6 +47,7 @@ class ChannelDiagnosis:
     final_errors: StandardErrors
     before: Errors
     after: Errors
+    scale: float
     gain_interval: tuple[float, float]
     floor: float
     n_spikes: int
@@ -58,13 +58,6 @@ class ChannelDiagnosis:
     dependences_before: tuple[Dependence, ...]
     dependences_after: tuple[Dependence, ...]
     unexplained: tuple[Dependence, ...]
-
-    @property
-    def verdict(self) -> Verdict:
-        """``unexplained`` if structure is left, whatever was found."""
-        if self.unexplained:
-            return "unexplained"
-        return "effect_found" if self.effect_names else "sufficient"
 
     @property
     def compliance(self) -> Estimate:
@@ -97,42 +90,24 @@ class ChannelDiagnosis:
         return finite(max(p_value, 0.5 ** (self.data.history.n_trials - 1)))
 
     @property
-    def sentence(self) -> str:
-        """The verdict in one plain sentence."""
-        unit, what = unit_text(PLAIN_UNITS[self.data.channel][0]), _LAW_WORDS[self.data.channel]
-        before, after, floor = self.before.rmse, self.after.rmse, self.floor
-        held = "held-out trials" if self.n_test else "the fitted trials"
+    def summary(self) -> record.Summary:
+        """Verdict and sentence."""
         wheres = {term.name: term.effect.where for term in self.final.model.terms}
-        names = " and ".join(
-            name.replace("_", " ") + (f" (only {wheres[name]})" if wheres[name] else "")
-            for name in self.effect_names
-        )
-        error = f"the error on {held} goes from {before:.3g} to {after:.3g} {unit}"
-        if self.is_scored_otherwise:
-            others = " and ".join(self.scored_effects).replace("_", " ") or "nothing"
-            error = f"the same search without the held-out trials finds {others}; there {error}"
-        floor_words = f"noise floor {floor:.3g} {unit}"
-        if self.verdict == "sufficient":
-            times = f"{before / floor:.2f} times the " if floor > 0 else ""
-            if before > _CLEARLY_MORE * floor:
-                return (
-                    f"{what} is off by {before:.3g} {unit} on {held}, {times}{floor_words}, and "
-                    "nothing that was looked at explains it."
-                )
-            return (
-                f"{what} is sufficient: nothing that was looked at explains more of the error, "
-                f"{before:.3g} {unit} on {held}, {times}{floor_words}."
-            )
-        left = ", ".join(d.covariate for d in self.unexplained)
-        if self.verdict == "effect_found":
-            with_them = "with it, " if len(self.effect_names) == 1 else "with them, "
-            with_them = "" if self.is_scored_otherwise else with_them
-            return f"{what} lacks {names}: {with_them}{error} ({floor_words})."
-        if names:
-            return f"{what} lacks {names} ({error}), and a residual that follows {left} remains."
-        return (
-            f"{what} has a residual that follows {left} and that no listed effect explains "
-            f"({before:.3g} {unit} on {held}, {floor_words})."
+        return record.Summary(
+            _LAW_WORDS[self.data.channel],
+            [
+                name.replace("_", " ") + (f" (only {wheres[name]})" if wheres[name] else "")
+                for name in self.effect_names
+            ],
+            [one.covariate for one in self.unexplained],
+            before=self.before.rmse,
+            after=self.after.rmse,
+            floor=self.floor,
+            unit=PLAIN_UNITS[self.data.channel][0],
+            held="held-out trials" if self.n_test else "the fitted trials",
+            instead=[name.replace("_", " ") for name in self.scored_effects]
+            if self.is_scored_otherwise
+            else None,
         )
 
 
@@ -166,44 +141,42 @@ def diagnosis_record(diagnosis: Diagnosis) -> dict[str, Any]:
     channels = {name: _channel(d) for name, d in diagnosis.channels.items()}
     if diagnosis.markers is not None:
         channels["markers"] = diagnosis.markers.record()
-    return {"schema": SCHEMA, "notes": list(diagnosis.notes), "channels": channels}
+    return record.diagnosis_record(channels, diagnosis.notes)
 
 
 def _channel(found: ChannelDiagnosis) -> dict[str, Any]:
     unit, per_newton = PLAIN_UNITS[found.data.channel]
-    chosen = found.attribution.chosen
     terms = {term.name: term for term in found.final.model.terms}
-    return {
-        "verdict": found.verdict,
-        "sentence": found.sentence,
-        "effects": [
+    return record.channel_record(
+        found,
+        effects=[
             _effect(found, one, terms[one.candidate.name])
-            for one in chosen
+            for one in found.attribution.chosen
             if one.candidate.is_effect
         ],
-        "unexplained": [_unexplained(found, d) for d in found.unexplained],
-        "error_before": _error(found.before, unit),
-        "error_after": _error(found.after, unit),
-        "noise_floor": {
-            "rmse": finite(found.floor),
-            "how": "second differences, over 1 to 8 samples of a trial, of the law's residual",
-        },
-        "gain_interval_95": [finite(v) for v in found.gain_interval],
-        "gp_baseline": {"rmse": finite(found.gp_rmse), "unit": unit},
-        "trials": {"fit": found.n_fit, "test": found.n_test},
-        "held_out": found.how,
-        "scored_effects": list(found.scored_effects),
-        "compliance": {
-            when: _estimate(one.value, one.stderr, per_newton)
+        unexplained=[_unexplained(found, d) for d in found.unexplained],
+        error_before=record.error(found.before.rmse, found.scale, unit),
+        error_after=record.error(found.after.rmse, found.scale, unit),
+        noise_floor=(
+            found.floor,
+            "second differences, over 1 to 8 samples of a trial, of the law's residual",
+        ),
+        trials=(found.n_fit, found.n_test),
+        gain_interval_95=[finite(v) for v in found.gain_interval],
+        gp_baseline={"rmse": finite(found.gp_rmse), "unit": unit},
+        held_out=found.how,
+        scored_effects=list(found.scored_effects),
+        compliance={
+            when: record.estimate(one.value, one.stderr, per_newton)
             for when, one in (("before", found.linear), ("after", found.compliance))
         },
-        "ranking": [
+        ranking=[
             {"candidate": label, "heldout_gain": finite(gain), "p_value": found.p_value(p)}
             for label, gain, p in found.attribution.ranking[:12]
         ],
-        "residual_before": [_dependence(found, d) for d in found.dependences_before],
-        "residual_after": [_dependence(found, d) for d in found.dependences_after],
-    }
+        residual_before=[_dependence(found, d) for d in found.dependences_before],
+        residual_after=[_dependence(found, d) for d in found.dependences_after],
+    )
 
 
 def _effect(found: ChannelDiagnosis, chosen: Chosen, term: Term) -> dict[str, Any]:
@@ -211,7 +184,7 @@ def _effect(found: ChannelDiagnosis, chosen: Chosen, term: Term) -> dict[str, An
     return {
         "name": term.name,
         "parameters": {
-            name: _estimate(value, errors.get(name, 0.0), term.effect.parameter(name).unit)
+            name: record.estimate(value, errors.get(name, 0.0), term.effect.parameter(name).unit)
             for name, value in shown_parameters(term).items()
         },
         "heldout_gain": finite(chosen.gain),
@@ -228,14 +201,14 @@ def _effect(found: ChannelDiagnosis, chosen: Chosen, term: Term) -> dict[str, An
 
 def _unexplained(found: ChannelDiagnosis, dependence: Dependence) -> dict[str, Any]:
     """What the residual depends on; with what else explains it, if it was chosen as effects are."""
-    record = _dependence(found, dependence)
+    told = _dependence(found, dependence)
     for chosen in found.attribution.chosen:
         name = chosen.candidate.name
         if name == dependence.covariate and not chosen.candidate.is_effect:
-            record["runner_up"] = chosen.runner_up
-            record["runner_up_margin"] = finite(chosen.runner_up_margin)
-            record["separating_measurements"] = [advice(name, other) for other in chosen.confusable]
-    return record
+            told["runner_up"] = chosen.runner_up
+            told["runner_up_margin"] = finite(chosen.runner_up_margin)
+            told["separating_measurements"] = [advice(name, other) for other in chosen.confusable]
+    return told
 
 
 def shown_parameters(term: Term) -> dict[str, float]:
@@ -256,20 +229,7 @@ def advice(name: str, other: str) -> str:
 
 
 def _dependence(found: ChannelDiagnosis, d: Dependence) -> dict[str, Any]:
-    return {"covariate": d.covariate, "p_value": found.p_value(d.p_value), "share": finite(d.share)}
-
-
-def _estimate(value: float, stderr: float, unit: str) -> dict[str, Any]:
-    return {"value": finite(value), "stderr": finite(stderr), "unit": unit}
-
-
-def _error(errors: Errors, unit: str) -> dict[str, Any]:
-    return {"rmse": finite(errors.rmse), "nrmse": finite(errors.nrmse), "unit": unit}
-
-
-def finite(value: float) -> float | None:
-    """A float that JSON knows; what is not finite becomes null."""
-    return float(value) if math.isfinite(value) else None
+    return {"covariate": d.covariate, "p_value": found.p_value(d.p_value), "share": finite(d.gain)}
 
 
 def log_notes(log: PressLog) -> list[str]:

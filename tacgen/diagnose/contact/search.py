@@ -1,13 +1,12 @@
-"""Which effects does a residual come from: one search, one test.
+"""Which effects does the residual of a press log come from: a problem of the one search.
 
 Candidates are first compared as linear columns (`scores`), by cross-validation over whole trials;
-the best few are then fitted in full. A set grows by its score alone and loses what the sign-flip
-test, corrected for everything that was looked at, or a least gain on held-out trials does not call
-for. Columns that no effect explains (an operator, an oscillation) compete on the same terms, so
-that they are not taken for an effect.
+the best few are then fitted in full. Members are accepted by the sign-flip test, corrected for
+everything that was looked at, and a least gain on held-out trials. Columns that no effect explains
+(an operator, an oscillation) compete on the same terms, so that they are not taken for an effect.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +29,16 @@ from tacgen.diagnose.contact.model import (
     start_term,
 )
 from tacgen.diagnose.contact.oscillation import find_oscillations
+from tacgen.diagnose.engine import (
+    Problem,
+    first_accepted,
+    pruned,
+    reached,
+    search,
+    swapped,
+    worth_a_fit,
+)
+from tacgen.diagnose.rules import ContactRules
 
 LOCAL_FLIPS = 9999  # of the test of effects in a part, whose p is multiplied by their number
 _PROBE = 0.01  # of a free amount, where its effect on the response is asked
@@ -103,12 +112,14 @@ class Attribution:
     ranking: tuple[tuple[str, float, float], ...] = ()
 
 
-class CandidateSets:
+class ContactProblem(Problem[Candidate, FittedSet]):
     """Fits and cross-validates sets of candidates on one channel, and tests their members.
 
     ``rng`` is for the sign flips of its tests; ``session_clock`` says whether ``time_s`` runs on
     from trial to trial.
     """
+
+    rules: ContactRules
 
     def __init__(
         self, data: ChannelData, rng: np.random.Generator, *, session_clock: bool = True
@@ -307,7 +318,7 @@ class CandidateSets:
         """Whether the larger set's gain on held-out units is large."""
         return smaller.loss - larger.loss > self.data.min_gain * self.total(larger)
 
-    def is_accepted(self, full: FittedSet, member: Candidate) -> bool:
+    def accepts(self, full: FittedSet, member: Candidate) -> bool:
         """Whether held-out trials, the test and the other members' worth call for ``member``."""
         rest = self.without(full, member)
         if not self.is_worth(rest, full) or self.p_value(full, member) > self.rules.alpha:
@@ -316,15 +327,44 @@ class CandidateSets:
         all_explain = self.fitted((), self.linear).loss - full.loss
         return rest.loss - full.loss >= self.rules.least_share_of_all * all_explain
 
+    def form(self, candidate: Candidate) -> object:
+        """Name and function."""
+        return candidate.name, candidate.form
 
-class Selection:
-    """The search for the effects of one channel; arguments as ``CandidateSets`` has them."""
+    def least_gain(self, current: FittedSet) -> float:
+        """A share of all that is held out."""
+        return self.rules.min_gain * self.total(current)
 
-    def __init__(
-        self, data: ChannelData, rng: np.random.Generator, *, session_clock: bool = True
-    ) -> None:
-        self.data, self.rules = data, data.rules
-        self.sets = CandidateSets(data, rng, session_clock=session_clock)
+    def least_lead(self, current: FittedSet) -> float:
+        """The price of a parameter."""
+        return self.rules.parameter_price * self.total(current)
+
+    def opens(self, current: FittedSet) -> bool:
+        """Whether an effect can explain as much; what oscillates beside it is looked for anew."""
+        if self.score(current) < self.least_gain(current):
+            return False
+        if current.members:
+            self.pool(current, new_oscillations=True)
+        return True
+
+    def elsewhere(self, current: FittedSet) -> FittedSet | None:
+        """A better set with an effect that acts in one part of the log only; None if none is.
+
+        It comes beside ``current``, in the place of one of its members, or of all.
+        """
+        least = self.score(current)
+        if least < self.rules.local_price * self.total(current):
+            return None  # the price of a part alone is more
+        if len(current.members) >= self.rules.max_members:
+            return None
+        rests = [current, *(self.without(current, m) for m in current.members)]
+        if len(current.members) > 1:
+            rests.append(self.fitted((), self.linear))
+        found = [local for rest in rests for local in self.local(rest, least)]
+        for local in sorted(found, key=self.score):
+            if self.score(local) < least and self.accepts(local, local.members[-1]):
+                return first_accepted(self, [local, swapped(self, local)], least)
+        return None
 
     def run(self) -> Attribution:
         """Choose, and describe each member and its runners-up."""
@@ -333,192 +373,72 @@ class Selection:
 
     def choose(self) -> Attribution:
         """Search, and correct the forms of what was accepted."""
-        base = self.sets.fitted((), self.sets.linear)
-        pool = self.sets.pool(base, new_oscillations=True)
+        base = self.fitted((), self.linear)
+        pool = self.pool(base, new_oscillations=True)
         ranking = self._ranked(base, pool)
-        accepted = self._without_mismatch(self._searched(base))
+        accepted = self._without_mismatch(reached(search(self, base)))
         return Attribution(base, accepted, self._refined(accepted), ranking=ranking)
-
-    def _searched(self, base: FittedSet) -> FittedSet:
-        """The best set that can be reached by better and better sets of accepted members."""
-        current = base
-        while (found := self._better(current) or self._localised(base, current)) is not None:
-            current = found
-        return current
-
-    def _better(self, current: FittedSet) -> FittedSet | None:
-        """A better set than ``current`` whose members are all accepted; None if none is found.
-
-        Sets are sought by their score alone and then lose what their own tests do not call for.
-        """
-        sets, rules = self.sets, self.rules
-        if sets.score(current) < rules.min_gain * sets.total(current):
-            return None  # no effect explains as much
-        if current.members:
-            sets.pool(current, new_oscillations=True)
-        singles, path = self._grown(current)
-        ends = singles + path + [self._swapped(end) for end in path[-1:]]
-        least = sets.score(current) - rules.parameter_price * sets.total(current)
-        return self._accepted(ends, least)
-
-    def _accepted(self, ends: list[FittedSet], least: float) -> FittedSet | None:
-        """The best of ``ends``, by their scores, that when pruned still scores below ``least``."""
-        for end in sorted(ends, key=self.sets.score):
-            if self.sets.score(end) < least:
-                pruned = self._pruned(end)
-                if self.sets.score(pruned) < least:
-                    return pruned
-        return None
-
-    def _grown(self, current: FittedSet) -> tuple[list[FittedSet], list[FittedSet]]:
-        """``current`` with one member more, and with ever more that make the score best.
-
-        None of them is tested.
-        """
-        sets, rules = self.sets, self.rules
-        singles, path = list[FittedSet](), list[FittedSet]()
-        while len(current.members) < rules.max_members:
-            least = rules.min_gain * sets.total(current)
-            promising = [one for one in sets.pool(current) if one[1] > least]
-            tried = list[FittedSet]()
-            for promise, best in _in_turn(promising, rules.fitted_share):
-                if any(promise < current.loss - one.loss for one in tried):
-                    break  # the rest promises less than what was found explains
-                tried += [sets.add(current, [candidate]) for candidate in best]
-            singles = singles or tried
-            larger = min(tried, key=sets.score, default=current)
-            if sets.score(larger) > sets.score(current) - least:
-                break
-            path.append(current := larger)
-        return singles, path
-
-    def _localised(self, base: FittedSet, current: FittedSet) -> FittedSet | None:
-        """A better set with an effect that acts in one part of the log only; None if none is.
-
-        It comes beside ``current``, in the place of one of its members, or of all.
-        """
-        sets, rules = self.sets, self.rules
-        least = sets.score(current)
-        if least < rules.local_price * sets.total(current):
-            return None  # the price of a part alone is more
-        if len(current.members) >= rules.max_members:
-            return None
-        rests = [current, *(sets.without(current, m) for m in current.members)]
-        if len(current.members) > 1:
-            rests.append(base)
-        found = [local for rest in rests for local in sets.local(rest, least)]
-        for local in sorted(found, key=sets.score):
-            if sets.score(local) < least and sets.is_accepted(local, local.members[-1]):
-                return self._accepted([local, self._swapped(local)], least)
-        return None
-
-    def _swapped(self, fitted: FittedSet) -> FittedSet:
-        """Exchange members, and their variants, for others as long as held-out trials gain."""
-        sets = self.sets
-        for _ in range(4):
-            best = fitted
-            for member in fitted.members:
-                rest = sets.without(fitted, member)
-                for other in _worth_a_fit(sets.pool(rest), self.rules.fitted_share):
-                    trial = sets.add(rest, [other])
-                    least = self.rules.parameter_price * sets.total(best)
-                    if sets.score(trial) < sets.score(best) - least:
-                        best = trial
-            if best is fitted:
-                return fitted
-            fitted = best
-        return fitted
 
     def _without_mismatch(self, fitted: FittedSet) -> FittedSet:
         """``fitted`` less members that corrections of the others' forms replace, best first."""
-        sets = self.sets
         if len(fitted.members) < 2:
             return fitted
         corrected = self._refined(fitted)
         found = []
         for member in fitted.members:
-            rest = sets.without(fitted, member)
+            rest = self.without(fitted, member)
             instead = self._refined(rest)
-            if instead.loss < fitted.loss and not sets.is_worth(instead, corrected):
+            if instead.loss < fitted.loss and not self.is_worth(instead, corrected):
                 found.append((instead.loss, rest))
         if not found:
             return fitted
         _, rest = min(found, key=lambda one: one[0])
-        return self._without_mismatch(self._pruned(self._swapped(self._pruned(rest))))
+        return self._without_mismatch(pruned(self, swapped(self, pruned(self, rest))))
 
     def _refined(self, fitted: FittedSet) -> FittedSet:
         """``fitted`` with the forms of members corrected where held-out trials gain, most first."""
-        sets, effects = self.sets, [one.effect for one in fitted.members]
+        effects = [one.effect for one in fitted.members]
         left = [effect for effect in effects if effect is not None and effect.free_amounts]
         while left:
-            tried = [sets.corrected(fitted, effect) for effect in left]
+            tried = [self.corrected(fitted, effect) for effect in left]
             best = int(np.argmin([one.loss for one in tried]))
-            gain = (fitted.loss - tried[best].loss) / sets.total(fitted)
+            gain = (fitted.loss - tried[best].loss) / self.total(fitted)
             if gain <= self.rules.parameter_price:
                 return fitted
             fitted = tried[best]
             del left[best]
         return fitted
 
-    def _pruned(self, fitted: FittedSet) -> FittedSet:
-        """Drop members that are not accepted beside the others, the least useful first."""
-        sets = self.sets
-        while idle := [m for m in fitted.members if not sets.is_accepted(fitted, m)]:
-            rests = [sets.without(fitted, member) for member in idle]
-            fitted = min(rests, key=lambda rest: rest.loss)
-        return fitted
-
     def _ranked(self, current: FittedSet, pool: Pool) -> tuple[tuple[str, float, float], ...]:
         """(label, gain of held-out RMSE, p) of the best variant of each name, best first."""
-        p_values = self.sets.p_values(current)
+        p_values = self.p_values(current)
         rows: dict[str, tuple[str, float, float]] = {}
         for candidate, explained in pool:
             after = max(self.data.noise_loss + current.loss - explained, 0.0)
-            gain = 1.0 - float(np.sqrt(after / self.sets.total(current)))
+            gain = 1.0 - float(np.sqrt(after / self.total(current)))
             row = candidate.label, gain, p_values[candidate.name]
             rows.setdefault(candidate.name, row)
         return tuple(rows.values())
 
     def _described(self, accepted: FittedSet) -> tuple[Chosen, ...]:
-        sets, described, least_lead = self.sets, [], self.rules.confusable_in_se
-        final = sets.fitted(accepted.members, accepted.fit.model)
+        described, least_lead = list[Chosen](), self.rules.confusable_in_se
+        final = self.fitted(accepted.members, accepted.fit.model)
         for member in accepted.members:
-            rest = sets.without(final, member)
-            others = [one for one in sets.pool(rest) if one[0].name not in final.names]
+            rest = self.without(final, member)
+            others = [one for one in self.pool(rest) if one[0].name not in final.names]
             # A linearised gain says little here: fitted, another may predict as well as the member.
-            others_fitted = [sets.add(rest, [other]) for other in _worth_a_fit(others, 0.0)]
+            others_fitted = [self.add(rest, [other]) for other in worth_a_fit(self, others, 0.0)]
             others_fitted.sort(key=lambda one: one.loss)
             close = [r.members[-1].name for r in others_fitted if final.lead_in_se(r) < least_lead]
             chosen = Chosen(
                 member,
-                gain=1.0 - float(np.sqrt(sets.total(final) / sets.total(rest))),
-                p_value=sets.p_value(final, member),
+                gain=1.0 - float(np.sqrt(self.total(final) / self.total(rest))),
+                p_value=self.p_value(final, member),
                 confusable=tuple(dict.fromkeys(close)),
             )
             if others_fitted:
-                margin = float(np.sqrt(sets.total(others_fitted[0]) / sets.total(final))) - 1.0
+                margin = float(np.sqrt(self.total(others_fitted[0]) / self.total(final))) - 1.0
                 lead, name = final.lead_in_se(others_fitted[0]), others_fitted[0].members[-1].name
                 chosen = replace(chosen, runner_up=name, runner_up_margin=margin, margin_in_se=lead)
             described.append(chosen)
         return tuple(described)
-
-
-def _in_turn(pool: Pool, share: float) -> Iterator[tuple[float, list[Candidate]]]:
-    """The most that is promised, and what is worth a fit; then the same of the rest, and so on.
-
-    A form that promises most may fail when it is fitted: linear, it knows no bounds.
-    """
-    while best := _worth_a_fit(pool, share):
-        yield max(gain for _, gain in pool), best
-        tried = {(candidate.name, candidate.form) for candidate in best}
-        pool = [one for one in pool if (one[0].name, one[0].form) not in tried]
-
-
-def _worth_a_fit(pool: Pool, share: float) -> list[Candidate]:
-    """The best start of each form that promises at least ``share`` of what the best one does."""
-    best: dict[tuple[str, object], Candidate] = {}
-    least = share * max((gain for _, gain in pool), default=0.0)
-    for candidate, gain in pool:
-        if gain >= least:
-            best.setdefault((candidate.name, candidate.form), candidate)
-    return list(best.values())

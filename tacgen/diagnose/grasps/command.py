@@ -1,6 +1,5 @@
 """``tacgen diagnose grasps``: traces mislabels of simulated grasps to wrong figures."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -36,7 +35,8 @@ from tacgen.diagnose.grasps.perturbed_simulations import (
     combined_perturbation,
 )
 from tacgen.diagnose.grasps.result import GraspDiagnosis, diagnose_labels, diagnosis_record
-from tacgen.diagnose.grasps.rules import RULES
+from tacgen.diagnose.record import write_record
+from tacgen.diagnose.rules import GRASPS
 
 PLACE = ("object", "force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
 _KNOWN_MODE = {"rotational_slip": TURNED, "translational_slip": SLID}
@@ -142,9 +142,9 @@ def refine(
     simulations: PerturbedSimulations, comparison: ModelComparison, labels: Labels
 ) -> ModelComparison:
     """Simulate the leading explanations about their own values, which moves them, a few times."""
-    for _ in range(RULES.refining_rounds):
+    for _ in range(GRASPS.refining_rounds):
         explanations = comparison.explanations(labels)
-        least = explanations[0].gain - RULES.leading_gain
+        least = explanations[0].gain - GRASPS.leading_gain
         comparison = simulations.refined([one for one in explanations if one.gain > least])
     return comparison
 
@@ -182,8 +182,7 @@ def _place(proposal: Proposal) -> dict[str, Any]:
 
 
 def _write(findings: GraspFindings, record: dict[str, Any], out: Path) -> None:
-    text = json.dumps(record, indent=2, ensure_ascii=False)
-    write_text(out / "diagnosis.json", text + "\n")
+    write_record(record, out)
     resolved = findings.recipe.resolved(out)
     recipe = yaml.safe_dump(resolved, sort_keys=False, allow_unicode=True)
     write_text(out / "recipe.yaml", recipe)
@@ -200,7 +199,7 @@ def _covariates(grasps: Sequence[RealGrasp]) -> dict[str, FloatArray]:
 def _notes(recipe: Recipe, real: RealGrasps, declared: Sequence[perturbed.Outcome]) -> list[str]:
     """What the reader should know about the data."""
     notes = list(real.warnings)
-    if len(real.grasps) < RULES.few_grasps:
+    if len(real.grasps) < GRASPS.few_grasps:
         notes.append(
             f"{len(real.grasps)} grasps only: they show a large error of the simulation, not a "
             "small one; 20 to 40 grasps near the thresholds do"

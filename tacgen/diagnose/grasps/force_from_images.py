@@ -22,7 +22,7 @@ from tacgen.core.safe_io import read_rgb
 from tacgen.core.types import FloatArray
 from tacgen.dataset.real_grasps import FRAME_UNKNOWN, RealGrasp, RealGrasps
 from tacgen.diagnose.grasps.model_comparison import NO_READING, ForceReading
-from tacgen.diagnose.grasps.rules import RULES
+from tacgen.diagnose.rules import GRASPS
 from tacgen.sensor.tactile_pad import Imprint
 
 Image = NDArray[np.uint8]
@@ -36,24 +36,24 @@ def force_from_images(
     Successful grasps are read first: where an object slides, its imprint changes.
     """
     grasps = sorted((g for g in real.grasps if g.images), key=lambda grasp: -grasp.label)[
-        : RULES.images_read
+        : GRASPS.images_read
     ]
-    if len(grasps) < RULES.least_images:
+    if len(grasps) < GRASPS.least_images:
         return NO_READING, "no images to read the force from: labels alone decide"
     measured, simulated = imprint_strengths(recipe, real.folder, grasps, show)
     readings = [
-        float(np.interp(one, curve, np.log(RULES.image_forces)))
+        float(np.interp(one, curve, np.log(GRASPS.image_forces)))
         for one, curve in zip(measured, simulated, strict=True)
         if (np.diff(curve) > 0).all() and curve[0] <= one <= curve[-1]
     ]
-    if len(readings) < RULES.least_images:
+    if len(readings) < GRASPS.least_images:
         return NO_READING, (
             f"the images of {len(grasps)} grasps do not compare with those of the recipe's sensor "
             "at any force: labels alone decide"
         )
     middle = float(np.median(readings))
     spread = 1.48 * float(np.median(np.abs(np.array(readings) - middle)))
-    k_n_error = RULES.calibrated_k_n_error if recipe.contact.file else RULES.declared_k_n_error
+    k_n_error = GRASPS.calibrated_k_n_error if recipe.contact.file else GRASPS.declared_k_n_error
     stderr = float(np.hypot(k_n_error, spread / np.sqrt(len(readings))))
     return ForceReading(middle, stderr), (
         f"the imprints of {len(readings)} grasps are those of {np.exp(middle):.2f} times the "
@@ -64,14 +64,14 @@ def force_from_images(
 def imprint_strengths(
     recipe: Recipe, folder: Path, grasps: Sequence[RealGrasp], show: Callable[[int, int], None]
 ) -> tuple[FloatArray, FloatArray]:
-    """How strong each grasp's imprint is: measured (N,), simulated (N, len(RULES.image_forces)).
+    """How strong each grasp's imprint is: measured (N,), simulated (N, len(GRASPS.image_forces)).
 
     Compared are the moments of grasp where they are known or the sequences are equally long, else
     the strongest images. NaN where an image lacks.
     """
     measured = np.full(len(grasps), np.nan)
-    simulated = np.full((len(grasps), len(RULES.image_forces)), np.nan)
-    for column, factor in enumerate(RULES.image_forces):
+    simulated = np.full((len(grasps), len(GRASPS.image_forces)), np.nan)
+    for column, factor in enumerate(GRASPS.image_forces):
         world = _at_force(recipe, grasps, factor)
         untouched = tactile_pad(world).image(Imprint())
         names = [entry.object_name for entry in world.objects]
@@ -100,14 +100,16 @@ def imprint_strength(image: Image, untouched: Image) -> float:
     does not count; most of a gel is untouched.
     """
     height, width = image.shape[:2]
-    size = RULES.image_width_px, max(1, round(height * RULES.image_width_px / width))
+    size = GRASPS.image_width_px, max(1, round(height * GRASPS.image_width_px / width))
     # A small size averages the camera's noise away.
     small, base = (
         cv2.resize(one, size, interpolation=cv2.INTER_AREA).astype(np.float64)
         for one in (image, untouched)
     )
     small *= np.median(base) / max(float(np.median(small)), 1.0)
-    return float(np.maximum(np.abs(small - base).mean(axis=2) - RULES.image_noise_grey, 0.0).mean())
+    return float(
+        np.maximum(np.abs(small - base).mean(axis=2) - GRASPS.image_noise_grey, 0.0).mean()
+    )
 
 
 def _strongest(frames: Sequence[Image] | Image, moment: int | None, untouched: Image) -> float:

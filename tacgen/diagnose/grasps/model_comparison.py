@@ -16,16 +16,17 @@ import numpy as np
 from scipy.special import expit, logit, logsumexp
 
 from tacgen.core.types import BoolArray, FloatArray, IntArray
+from tacgen.diagnose.engine import Problem, grown
 from tacgen.diagnose.grasps.hypotheses import HypothesisCandidate, Prediction
-from tacgen.diagnose.grasps.rules import RULES
 from tacgen.diagnose.grasps.slip_margin import gain_by_torsion
+from tacgen.diagnose.rules import GRASPS
 
 SUCCESS, FAILED, TURNED, SLID = range(4)
 """What is known of a real grasp: a failure may come with its mode or without."""
 
-_FLIPS = np.array(RULES.flip_rates, np.float32)[:, None, None]
-_WIDTHS = np.array(RULES.border_widths)[:, None]
-_LOG_NUISANCE = np.log(np.repeat(RULES.flip_weights, len(_WIDTHS)) / len(_WIDTHS))
+_FLIPS = np.array(GRASPS.flip_rates, np.float32)[:, None, None]
+_WIDTHS = np.array(GRASPS.border_widths)[:, None]
+_LOG_NUISANCE = np.log(np.repeat(GRASPS.flip_weights, len(_WIDTHS)) / len(_WIDTHS))
 
 
 @dataclass(frozen=True)
@@ -125,9 +126,11 @@ def interpolated(
     """
     parameter = candidate.parameter
     places = parameter.coordinate(nodes)
-    axis = np.linspace(places[0], places[-1], RULES.axis_values)
+    axis = np.linspace(places[0], places[-1], GRASPS.axis_values)
     log_prior = -0.5 * ((axis - parameter.center) / parameter.spread) ** 2
-    force = np.zeros(RULES.axis_values) if log_force is None else np.interp(axis, places, log_force)
+    force = (
+        np.zeros(GRASPS.axis_values) if log_force is None else np.interp(axis, places, log_force)
+    )
     return CandidateModel(
         log_prior - logsumexp(log_prior) + np.log(candidate.weight),
         _along(axis, places, node_margin),
@@ -256,7 +259,7 @@ class Cause:
     """A candidate of an explanation: its posterior ``coordinate`` and that one's deviation.
 
     ``second_mode`` is the likeliest value apart from it, where one has at least
-    ``RULES.second_mode_share`` of the posterior.
+    ``GRASPS.second_mode_share`` of the posterior.
     """
 
     model: CandidateModel
@@ -309,6 +312,16 @@ class Explanation:
         """The names of the causes."""
         return " and ".join(cause.name for cause in self.causes)
 
+    @property
+    def members(self) -> tuple[CandidateModel, ...]:
+        """The models of the causes."""
+        return tuple(cause.model for cause in self.causes)
+
+    @property
+    def loss(self) -> float:
+        """The less evidence, the more."""
+        return -self.gain
+
 
 AS_DECLARED = Explanation((), 0.0, 0.0, np.zeros((0, 0)))
 
@@ -341,7 +354,7 @@ class ModelComparison:
         model = self.model_of(parts)
         by_declared, joint = self.declared.log_joint(labels), model.log_joint(labels)
         fit = (joint - model.log_prior[:, None]).max() - by_declared.max()
-        gain = logsumexp(joint) - logsumexp(by_declared) + len(parts) * np.log(RULES.cause_odds)
+        gain = logsumexp(joint) - logsumexp(by_declared) + len(parts) * np.log(GRASPS.cause_odds)
         axes = [part.coordinate for part in _thinned(parts)]
         weights = np.exp(logsumexp(joint, axis=1) - logsumexp(joint)).reshape(
             [len(axis) for axis in axes]
@@ -353,7 +366,7 @@ class ModelComparison:
             mean, deviation = _mean_and_deviation(axis[mode], own[mode])
             rest, second_mode = own.copy(), None
             rest[mode] = 0.0
-            if rest.sum() > RULES.second_mode_share:
+            if rest.sum() > GRASPS.second_mode_share:
                 other = _best_mode(axis, rest)
                 beyond = _mean_and_deviation(axis[other], rest[other])[0]
                 second_mode = part.candidate.parameter.value(beyond)
@@ -366,34 +379,18 @@ class ModelComparison:
         covariance = (weights.ravel() * apart.T) @ apart
         return Explanation(tuple(causes), float(gain), float(fit), covariance)
 
-    def singles(self, labels: Labels) -> list[Explanation]:
-        """Every candidate alone, the likeliest first."""
-        found = [self.explanation([model], labels) for model in self.models]
-        return sorted(found, key=lambda one: -one.gain)
-
     def explanations(self, labels: Labels) -> list[Explanation]:
-        """The likeliest sets of up to ``RULES.max_causes``, each extended from a smaller one."""
-        level = self.singles(labels)
-        found = list(level)
-        for _ in range(1, RULES.max_causes):
-            sets: dict[frozenset[HypothesisCandidate], list[CandidateModel]] = {}
-            for leader in level[: RULES.most_extended]:
-                own = [cause.model for cause in leader.causes]
-                for model in self.models:
-                    if model.candidate not in leader.candidates:
-                        sets.setdefault(leader.candidates | {model.candidate}, [*own, model])
-            larger = [self.explanation(parts, labels) for parts in sets.values()]
-            larger.sort(key=lambda one: -one.gain)
-            found += larger
-            if not larger or larger[0].gain < level[0].gain:
-                break
-            level = larger
-        return sorted(found, key=lambda one: -one.gain)
+        """The likeliest sets of up to ``max_members``, each extended from a smaller one."""
+        problem = _Explanations(self, labels)
+        singles = [problem.add(AS_DECLARED, [model]) for model in self.models]
+        singles.sort(key=problem.score)
+        levels, _ = grown(problem, singles)
+        return sorted((one for level in [singles, *levels] for one in level), key=problem.score)
 
     def null_gains(self, labels: Labels, rng: np.random.Generator) -> FloatArray:
-        """The largest gain of a hypothesis (``RULES.null_draws``,) in labels drawn as declared."""
+        """The largest gain of a hypothesis (``GRASPS.null_draws``,) in labels drawn as declared."""
         weights = np.exp(self.declared.log_joint(labels))
-        count = RULES.null_draws
+        count = GRASPS.null_draws
         chosen = rng.choice(weights.size, size=count, p=weights.ravel() / weights.sum())
         success = np.exp(self.declared.log_probability(np.full(labels.known.shape, SUCCESS)))[0]
         held = rng.uniform(size=(count, len(labels.known))) < success[chosen]
@@ -408,7 +405,7 @@ class ModelComparison:
             found = _log_evidence(model, drawn, readings, stderr)
             by_name.setdefault(model.candidate.name, []).append(found)
         gains = np.stack([logsumexp(found, axis=0) for found in by_name.values()]) - base
-        return np.asarray(gains.max(axis=0) + np.log(RULES.cause_odds))
+        return np.asarray(gains.max(axis=0) + np.log(GRASPS.cause_odds))
 
     def success_probability(
         self, labels: Labels, explanations: Sequence[Explanation], folds: IntArray | None = None
@@ -431,9 +428,40 @@ class ModelComparison:
             weights = np.exp(total - whole)
             success = np.exp(model.log_probability(np.full(n, SUCCESS))).reshape(-1, n)
             found.append((weights[:, row] * success).sum(axis=0))
-            evidence.append(whole + len(one.causes) * np.log(RULES.cause_odds))
+            evidence.append(whole + len(one.causes) * np.log(GRASPS.cause_odds))
         share = np.exp(evidence - logsumexp(evidence, axis=0))[:, row]
         return np.asarray((share * np.stack(found)).sum(axis=0))
+
+
+class _Explanations(Problem[CandidateModel, Explanation]):
+    """Sets of causes as the search extends them; each is weighed, so none is dropped."""
+
+    rules = GRASPS
+
+    def __init__(self, comparison: ModelComparison, labels: Labels) -> None:
+        self._comparison, self._labels = comparison, labels
+        self._known: dict[frozenset[HypothesisCandidate], Explanation] = {}
+
+    def pool(self, current: Explanation) -> list[tuple[CandidateModel, float]]:
+        """Every other candidate; only its evidence tells."""
+        models = self._comparison.models
+        return [(one, np.inf) for one in models if one.candidate not in current.candidates]
+
+    def add(self, current: Explanation, more: Sequence[CandidateModel]) -> Explanation:
+        """What the labels say about both together, once for each set."""
+        key = current.candidates | {one.candidate for one in more}
+        if key not in self._known:
+            parts = [*current.members, *more]
+            self._known[key] = self._comparison.explanation(parts, self._labels)
+        return self._known[key]
+
+    def without(self, full: Explanation, member: CandidateModel) -> Explanation:
+        """The set without one, which it was extended from."""
+        return self._known[full.candidates - {member.candidate}]
+
+    def accepts(self, _full: Explanation, _member: CandidateModel) -> bool:
+        """Which are needed is said by the posterior of all."""
+        return True
 
 
 @dataclass(frozen=True, slots=True)
@@ -460,7 +488,7 @@ class Posterior:
     """What the labels say: explanations, the likeliest first, and whether one is needed at all.
 
     ``p_value`` is the share of labels drawn from the declared simulation in which one hypothesis
-    gains as much as the best does here; ``critical_gain`` what ``RULES.false_alarm`` of them reach.
+    gains as much as the best does here; ``critical_gain`` is what ``false_alarm`` of them reach.
     """
 
     explanations: tuple[Explanation, ...]
@@ -475,7 +503,7 @@ class Posterior:
     @property
     def found(self) -> tuple[Cause, ...]:
         """Its causes; none where clean labels often need an explanation as much."""
-        return self.best.causes if self.p_value <= RULES.false_alarm else ()
+        return self.best.causes if self.p_value <= GRASPS.false_alarm else ()
 
     def by_hypothesis(self) -> list[Explanation]:
         """The best single cause of each name, with the evidence of all of that name."""
@@ -541,7 +569,7 @@ class Posterior:
     def alternatives(self) -> tuple[Explanation, ...]:
         """Other explanations that the labels do not exclude, the likeliest first.
 
-        They have at least ``RULES.least_alternative`` of the best one's probability, that nothing
+        They have at least ``GRASPS.least_alternative`` of the best one's probability, that nothing
         is wrong among them. Not listed again is what is the ``same``, what adds a cause to the best
         that ``shared`` reports, and what adds one to a likelier one of these or of those.
         """
@@ -552,7 +580,7 @@ class Posterior:
         for cause in self.found:
             reported += [best.candidates | {one.other.candidate} for one in self.shared(cause)]
         for one in self.with_declared:
-            if one.gain < best.gain + np.log(RULES.least_alternative):
+            if one.gain < best.gain + np.log(GRASPS.least_alternative):
                 break
             # A part of the best one says nothing of what else may be beside it.
             likelier = [other for other in (*self.same, *found) if other.gain >= one.gain]
@@ -581,7 +609,7 @@ class Posterior:
         """What a ``cause`` that is found, or the likeliest of its name, is confounded with.
 
         The likeliest first: those by other names that the labels do not exclude, and beside which
-        the cause lies ``RULES.ridge_widening`` times its error from its estimate or farther, root
+        the cause lies ``GRASPS.ridge_widening`` times its error from its estimate or farther, root
         mean square.
         Where both are correlated, the precision matrix less the prior's gives the one combination
         that the labels determine; a shift that may be to either side is taken to that of ``cause``.
@@ -594,15 +622,15 @@ class Posterior:
             added = [own for own in one.causes if own.candidate not in smaller.candidates]
             if len(added) != 1 or not smaller.candidates < one.candidates:
                 continue
-            weight = RULES.cause_odds * added[0].candidate.weight
-            if one.gain - np.log(weight) < smaller.gain - RULES.excluding_gain:
+            weight = GRASPS.cause_odds * added[0].candidate.weight
+            if one.gain - np.log(weight) < smaller.gain - GRASPS.excluding_gain:
                 continue
             order = [own.candidate for own in one.causes]
             pair = [order.index(cause.candidate), order.index(added[0].candidate)]
             covariance = one.covariance[np.ix_(pair, pair)]
-            precision = np.linalg.inv(covariance + RULES.least_variance * np.eye(2))
+            precision = np.linalg.inv(covariance + GRASPS.least_variance * np.eye(2))
             by_labels = precision[0, 0] - cause.candidate.parameter.spread**-2
-            least = RULES.ridge_widening * alone
+            least = GRASPS.ridge_widening * alone
             if added[0].candidate.objects != cause.candidate.objects:
                 least *= np.sqrt(2)  # as where each follows from the grasps of one of two objects
             beside = one.causes[pair[0]]
@@ -634,7 +662,7 @@ def _has_value(one: Explanation, cause: Cause, powers: Mapping[HypothesisCandida
     power = np.array([powers.get(own.candidate, 0.0) for own in one.causes])
     apart = power @ np.array([own.coordinate for own in one.causes]) - cause.coordinate
     variance = power @ one.covariance @ power + cause.deviation**2
-    return bool(power.any() and apart**2 <= RULES.same_errors**2 * variance)
+    return bool(power.any() and apart**2 <= GRASPS.same_errors**2 * variance)
 
 
 def posterior(comparison: ModelComparison, labels: Labels, rng: np.random.Generator) -> Posterior:
@@ -643,13 +671,13 @@ def posterior(comparison: ModelComparison, labels: Labels, rng: np.random.Genera
     found = Posterior(tuple(comparison.explanations(labels)), 1.0, 0.0)
     gain = found.by_hypothesis()[0].gain
     p_value = float((1 + (null >= gain).sum()) / (1 + len(null)))
-    critical = float(np.quantile(null, 1 - RULES.false_alarm))
+    critical = float(np.quantile(null, 1 - GRASPS.false_alarm))
     return replace(found, p_value=p_value, critical_gain=critical)
 
 
 def _thinned(parts: Sequence[CandidateModel]) -> list[CandidateModel]:
     """Fewer values each, the more there are, and of the first the most: it explains the most."""
-    steps = RULES.axis_steps[max(0, len(parts) - 1)]
+    steps = GRASPS.axis_steps[max(0, len(parts) - 1)]
     return [part.thinned(step) for part, step in zip(parts, steps, strict=False)]
 
 
@@ -673,7 +701,7 @@ def _best_mode(axis: FloatArray, weights: FloatArray) -> slice:
     mode is of one side where the declared value, 0, is less than half as likely as either.
     """
     top = int(np.argmax(weights))
-    low = weights < RULES.mode_edge * weights[top]
+    low = weights < GRASPS.mode_edge * weights[top]
     peaks = [weights[side].max(initial=0.0) for side in (axis < 0, axis > 0)]
     if np.interp(0.0, axis, weights) < 0.5 * min(peaks):
         low |= axis * axis[top] <= 0

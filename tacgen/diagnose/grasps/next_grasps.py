@@ -11,8 +11,8 @@ from tacgen.core.records import GraspConfig
 from tacgen.diagnose.grasps.hypotheses import Prediction
 from tacgen.diagnose.grasps.model_comparison import Cause, Explanation, Posterior
 from tacgen.diagnose.grasps.perturbed_simulations import PerturbedSimulations, combined_perturbation
-from tacgen.diagnose.grasps.rules import RULES
 from tacgen.diagnose.grasps.slip_margin import margins_of
+from tacgen.diagnose.rules import GRASPS
 
 Competing = dict[str, tuple[Cause, ...]]
 _RATIO_SIGN = {Prediction.FORCE: 1, Prediction.FRICTION: 1, Prediction.MASS: -1}
@@ -45,8 +45,8 @@ def competing_explanations(posterior: Posterior) -> Competing:
                 other if one is cause else one for one in best.causes
             )
     for one in posterior.explanations:
-        close = one.gain > best.gain - RULES.confusable_gain
-        if len(competing) < RULES.max_competing and close and len(one.causes) == len(best.causes):
+        close = one.gain > best.gain - GRASPS.confusable_gain
+        if len(competing) < GRASPS.max_competing and close and len(one.causes) == len(best.causes):
             competing.setdefault(one.name, _at_the_same_ratio(one, best))
     if len(competing) < 2:
         competing["as declared"] = ()
@@ -94,12 +94,12 @@ def propose_grasps(simulations: PerturbedSimulations, competing: Competing) -> t
             change = combined_perturbation(causes, config.object)
             outcome = simulations.known[place_of(config), change]
             margin, _ = margins_of([outcome])
-            expected = float(expit(margin[0] / RULES.proposal_width))
+            expected = float(expit(margin[0] / GRASPS.proposal_width))
             success[name] = expected if outcome.label >= 0 else 0.5
         proposals.append(Proposal(config, success))
-    separating = [one for one in proposals if one.disagreement >= RULES.least_disagreement]
+    separating = [one for one in proposals if one.disagreement >= GRASPS.least_disagreement]
     ranked = sorted(separating, key=lambda one: -one.disagreement)
-    return tuple(ranked[: RULES.grasps_proposed])
+    return tuple(ranked[: GRASPS.grasps_proposed])
 
 
 def _considered(simulations: PerturbedSimulations) -> list[GraspConfig]:
@@ -111,6 +111,6 @@ def _considered(simulations: PerturbedSimulations) -> list[GraspConfig]:
     chosen: list[GraspConfig] = []
     for name in names:
         own = [config for config in open_to if config.object == name]
-        count = min(len(own), -(-RULES.grasps_considered // len(names)))
+        count = min(len(own), -(-GRASPS.grasps_considered // len(names)))
         chosen += [own[k] for k in np.sort(rng.choice(len(own), count, replace=False))]
     return chosen

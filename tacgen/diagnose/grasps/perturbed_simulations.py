@@ -41,7 +41,6 @@ from tacgen.diagnose.grasps.model_comparison import (
     interpolated,
     joint_model,
 )
-from tacgen.diagnose.grasps.rules import RULES
 from tacgen.diagnose.grasps.slip_margin import (
     at_force,
     crossings,
@@ -53,6 +52,7 @@ from tacgen.diagnose.grasps.slip_margin import (
     margins_of,
     moment_part,
 )
+from tacgen.diagnose.rules import GRASPS
 
 DECLARED = Perturbation()
 GAINS: dict[Prediction, Callable[[FloatArray, FloatArray], FloatArray]] = {
@@ -105,7 +105,7 @@ class PerturbedSimulations:
         """The comparison with the first few of these simulated where their values matter."""
         wanted: list[tuple[GraspConfig, Perturbation]] = []
         together = []
-        for one in [one for one in explanations if _changes_enough(one)][: RULES.most_refined]:
+        for one in [one for one in explanations if _changes_enough(one)][: GRASPS.most_refined]:
             if len(one.causes) > 1:
                 places, changes = self._at_once(one.causes)
                 together.append((places, changes))
@@ -137,7 +137,7 @@ class PerturbedSimulations:
             places[cause.candidate] = float(own.coordinate(np.array([value]))[0])
             acting.append((cause.candidate.objects, own.perturb(value)))
         parts = [_at(cause.model, cause.coordinate) for cause in causes]
-        near = np.abs(joint_model(self._declared(), parts).margin[0]) < RULES.sure_margin
+        near = np.abs(joint_model(self._declared(), parts).margin[0]) < GRASPS.sure_margin
         found = {}
         for n in np.flatnonzero(near).tolist():
             changes = [one for objects, one in acting if self.configs[n].object in objects]
@@ -152,7 +152,7 @@ class PerturbedSimulations:
         """
         candidate, axis = cause.candidate, cause.model.coordinate
         deviation = max(cause.deviation, 0.5 * float(axis[1] - axis[0]))
-        near = np.abs(axis - cause.coordinate) <= RULES.refining_deviations * deviation
+        near = np.abs(axis - cause.coordinate) <= GRASPS.refining_deviations * deviation
         for n, config in enumerate(self.configs):
             if config.object in candidate.objects:
                 for place in crossings(axis[near], cause.model.margin[near, n]):
@@ -186,7 +186,7 @@ class PerturbedSimulations:
             if parameter.prediction is not Prediction.NONE:
                 margin, _ = self._predicted(candidate, np.array(parameter.nodes), None)
                 near = np.minimum(np.abs(margin), np.abs(self._declared().margin))
-                near = near < RULES.sure_margin
+                near = near < GRASPS.sure_margin
             wanted += [
                 (self.configs[n], parameter.perturb(parameter.nodes[k]))
                 for k, n in np.argwhere(near)
@@ -280,7 +280,7 @@ class PerturbedSimulations:
         def delivered(change: Perturbation) -> list[float]:
             settings = perturbed_settings(self.recipe.physics_settings, change)
             forces_n = [settings.delivered_force_n(config.force_n) for config in self.configs]
-            return [max(force_n, RULES.least_force_n) for force_n in forces_n]
+            return [max(force_n, GRASPS.least_force_n) for force_n in forces_n]
 
         perturbed = np.array([delivered(parameter.perturb(float(node))) for node in nodes])
         return np.asarray(np.log(perturbed / np.array(delivered(DECLARED))))
@@ -297,7 +297,7 @@ def combined_perturbation(causes: Sequence[Cause], name: str) -> Perturbation:
 
 def _changes_enough(one: Explanation) -> bool:
     """Whether each of several causes is changed so far that simulating them together says more."""
-    least = [RULES.least_change * cause.candidate.parameter.spread for cause in one.causes]
+    least = [GRASPS.least_change * cause.candidate.parameter.spread for cause in one.causes]
     changes = [cause.coordinate - cause.candidate.parameter.center for cause in one.causes]
     return len(one.causes) == 1 or bool((np.abs(changes) >= least).all())
 

@@ -5,11 +5,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import binom, rankdata
+from scipy.stats import binom
 
 from tacgen.core.records import GraspObject
 from tacgen.core.types import FloatArray, IntArray
-from tacgen.diagnose.contact.result import SCHEMA, Verdict, finite
+from tacgen.diagnose import record
+from tacgen.diagnose.evidence import Dependence, followed_by_rank
 from tacgen.diagnose.grasps.hypotheses import advice
 from tacgen.diagnose.grasps.model_comparison import (
     AS_DECLARED,
@@ -20,7 +21,8 @@ from tacgen.diagnose.grasps.model_comparison import (
     Posterior,
     Shared,
 )
-from tacgen.diagnose.grasps.rules import RULES
+from tacgen.diagnose.record import Verdict, finite, verdict_of
+from tacgen.diagnose.rules import GRASPS
 from tacgen.report.formatting import decimals_for
 
 
@@ -31,7 +33,7 @@ class GraspDiagnosis:
     ``real`` (N,) are the labels; ``simulated_before`` those as declared (−1 where a grasp could
     not be executed); ``heldout`` those predicted by a choice and fit without a grasp's own fold;
     ``final`` those with everything that was found. ``dependences`` are the covariates that the
-    mislabels follow, strongest first, with p-values corrected for the number of covariates.
+    mislabels follow, strongest first.
     """
 
     posterior: Posterior
@@ -39,7 +41,7 @@ class GraspDiagnosis:
     simulated_before: IntArray
     heldout: IntArray
     final: IntArray
-    dependences: Mapping[str, float]
+    dependences: tuple[Dependence, ...]
     notes: tuple[str, ...]
     reading: str = ""
 
@@ -67,15 +69,13 @@ class GraspDiagnosis:
     def too_many_remaining(self) -> bool:
         """Whether more labels disagree than flips alone would make."""
         return bool(
-            binom.sf(self.n_remaining - 1, len(self.real), RULES.usual_flips) < RULES.too_many_p
+            binom.sf(self.n_remaining - 1, len(self.real), GRASPS.usual_flips) < GRASPS.too_many_p
         )
 
     @property
     def verdict(self) -> Verdict:
         """``unexplained`` if more mislabels remain than flipped labels explain."""
-        if self.too_many_remaining:
-            return "unexplained"
-        return "effect_found" if self.found else "sufficient"
+        return verdict_of(self.found, self.too_many_remaining)
 
     @property
     def undecided(self) -> bool:
@@ -93,14 +93,14 @@ class GraspDiagnosis:
         n = len(self.real)
         before, after = round(n * self.rate_before), round(n * self.rate_after)
         if self.verdict == "sufficient":
-            small = n < RULES.few_grasps
+            small = n < GRASPS.few_grasps
             few = " With so few grasps, an effect could hardly be detected." if small else ""
             if not self.undecided:
                 return f"The simulation reproduces all {n} labels.{few}"
             possible = self._listed(
                 one
-                for one in self.posterior.with_declared[: RULES.sentence_explanations]
-                if self.posterior.share(one) >= RULES.sentence_least_share
+                for one in self.posterior.with_declared[: GRASPS.sentence_explanations]
+                if self.posterior.share(one) >= GRASPS.sentence_least_share
             )
             return (
                 f"Of {n} labels, {before} {'differs' if before == 1 else 'differ'} from the "
@@ -108,7 +108,7 @@ class GraspDiagnosis:
                 f"as likely as this in {100 * self.posterior.p_value:.1f} % of cases. "
                 f"Most probable: {possible}.{self._compensating()}{few}"
             )
-        followed = ", ".join(self.dependences)
+        followed = ", ".join(one.covariate for one in self.dependences)
         follow = f" follow {followed}" if followed else " follow none of the known columns"
         if not self.found:
             return (
@@ -137,9 +137,9 @@ class GraspDiagnosis:
 
     def _probability(self) -> str:
         """How probable it is, by which factors of a product, and what else is possible."""
-        posterior, most = self.posterior, RULES.sentence_explanations
+        posterior, most = self.posterior, GRASPS.sentence_explanations
         text, share_of = "", posterior.share
-        same = [one for one in posterior.same if share_of(one) >= RULES.sentence_least_share]
+        same = [one for one in posterior.same if share_of(one) >= GRASPS.sentence_least_share]
         if len(posterior.same) > 1 and same:
             text = f": {self._listed(same[:most])}"
         if posterior.alternatives:
@@ -230,13 +230,17 @@ def diagnose_labels(
     folds, heldout, final = _folds(real, rng), simulated, simulated
     probability: FloatArray = np.clip(simulated, 0, 1).astype(np.float64)
     if posterior.found:
-        least = posterior.best.gain - RULES.leading_gain
+        least = posterior.best.gain - GRASPS.leading_gain
         leading = [one for one in posterior.explanations if one.gain > least]
         by_others = comparison.success_probability(labels, [AS_DECLARED, *leading], folds)
         heldout = (by_others > 0.5).astype(np.int64)
         probability = comparison.success_probability(labels, [posterior.best])
         final = (probability > 0.5).astype(np.int64)
-    dependences = _dependences(real, probability, covariates, rng)
+    # Only one of the two predictions can be wrong where a covariate itself decides it.
+    sides = [np.flatnonzero(side) for side in (probability > 0.5, probability <= 0.5) if side.any()]
+    dependences = followed_by_rank(
+        real.astype(np.float64), covariates, sides, GRASPS.dependence_p, GRASPS.shuffles, rng
+    )
     return GraspDiagnosis(
         posterior, real, simulated, heldout, final, dependences, tuple(notes), reading
     )
@@ -246,42 +250,8 @@ def _folds(real: IntArray, rng: np.random.Generator) -> IntArray:
     """Folds with the same share of successes, as nearly as can be."""
     order = np.lexsort((rng.uniform(size=len(real)), real))
     folds = np.empty(len(real), dtype=np.int64)
-    folds[order] = np.arange(len(real)) % min(RULES.max_folds, len(real))
+    folds[order] = np.arange(len(real)) % min(GRASPS.max_folds, len(real))
     return folds
-
-
-def _dependences(
-    real: IntArray,
-    probability: FloatArray,
-    covariates: Mapping[str, FloatArray],
-    rng: np.random.Generator,
-) -> dict[str, float]:
-    """Covariates that mislabels follow by rank: upwards, downwards, or in the middle.
-
-    Predicted successes and failures are looked at apart: only one of the two can be wrong where
-    a covariate itself decides the prediction.
-    """
-    sides = [np.flatnonzero(probability > 0.5), np.flatnonzero(probability <= 0.5)]
-    residual = np.zeros(len(real))
-    shuffled = np.zeros((RULES.shuffles, len(real)))
-    for side in sides:
-        if len(side):
-            residual[side] = real[side] - real[side].mean()
-            shuffled[:, side] = rng.permuted(np.tile(residual[side], (RULES.shuffles, 1)), axis=1)
-    found = []
-    for name, values in covariates.items():
-        if np.ptp(values) == 0 or np.ptp(residual) == 0:
-            continue
-        place = rankdata(values) / len(values) - 0.5
-        shapes = np.stack([place, np.abs(place) - np.abs(place).mean()])
-        shapes /= np.linalg.norm(shapes, axis=1, keepdims=True)
-        seen = np.abs(shapes @ residual).max()
-        chance = np.abs(shapes @ shuffled.T).max(axis=0)
-        p_value = float((1 + (chance >= seen).sum()) / (1 + RULES.shuffles))
-        corrected = min(1.0, p_value * len(covariates))
-        if corrected <= RULES.dependence_p:
-            found.append((-float(seen / chance.std()), name, corrected))
-    return {name: p_value for _, name, p_value in sorted(found)}
 
 
 def diagnosis_record(
@@ -292,26 +262,24 @@ def diagnosis_record(
     ``declared`` are the objects as the recipe has them: a factor on one of their figures is also
     given as the figure.
     """
-    n = len(diagnosis.real)
-    posterior = diagnosis.posterior
-    remaining = diagnosis.dependences if diagnosis.too_many_remaining else {}
-    channel = {
-        "verdict": diagnosis.verdict,
-        "sentence": diagnosis.sentence,
-        "effects": [_effect(diagnosis, cause, declared) for cause in diagnosis.found],
-        "unexplained": [{"covariate": name, "p_value": p} for name, p in remaining.items()],
-        "error_before": _error(diagnosis.rate_before, n),
-        "error_after": _error(diagnosis.rate_after, n),
-        "noise_floor": {
-            "rmse": diagnosis.n_remaining / n,
-            "how": "labels that the simulation does not reproduce with the values found",
-        },
-        "trials": {"fit": n, "test": n},
-        "held_out": f"{min(RULES.max_folds, n)} folds of {n} grasps; the explanations weighed "
+    n, posterior = len(diagnosis.real), diagnosis.posterior
+    remaining = diagnosis.dependences if diagnosis.too_many_remaining else ()
+    channel = record.channel_record(
+        diagnosis,
+        effects=[_effect(diagnosis, cause, declared) for cause in diagnosis.found],
+        unexplained=[{"covariate": d.covariate, "p_value": d.p_value} for d in remaining],
+        error_before=_error(diagnosis.rate_before, n),
+        error_after=_error(diagnosis.rate_after, n),
+        noise_floor=(
+            diagnosis.n_remaining / n,
+            "labels that the simulation does not reproduce with the values found",
+        ),
+        trials=(n, n),
+        held_out=f"{min(GRASPS.max_folds, n)} folds of {n} grasps; the explanations weighed "
         "anew without each",
-        "false_alarm_rate": RULES.false_alarm,
-        "force_from_images": diagnosis.reading,
-        "ranking": [
+        false_alarm_rate=GRASPS.false_alarm,
+        force_from_images=diagnosis.reading,
+        ranking=[
             {
                 "candidate": one.name,
                 "description": describe(one.causes[0]),
@@ -322,14 +290,14 @@ def diagnosis_record(
             }
             for one in posterior.by_hypothesis()
         ],
-        "p_value": posterior.p_value,
-        "critical_gain": finite(posterior.critical_gain),
-        "probability": posterior.found_probability,
-        "products": [
+        p_value=posterior.p_value,
+        critical_gain=finite(posterior.critical_gain),
+        probability=posterior.found_probability,
+        products=[
             {"ridge": diagnosis.ridge(cause), "value": cause.value, "stderr": cause.stderr}
             for cause in diagnosis.products
         ],
-        "alternatives": [
+        alternatives=[
             {
                 "causes": [
                     {
@@ -343,16 +311,16 @@ def diagnosis_record(
             }
             for one in posterior.alternatives
         ],
-        "explanations": [
+        explanations=[
             {
                 "causes": [describe(cause) for cause in one.causes],
                 "probability": posterior.share(one),
                 "log_evidence_gain": finite(one.gain),
             }
-            for one in posterior.with_declared[: RULES.explanations_reported]
+            for one in posterior.with_declared[: GRASPS.explanations_reported]
         ],
-    }
-    return {"schema": SCHEMA, "notes": list(diagnosis.notes), "channels": {"grasp": channel}}
+    )
+    return record.diagnosis_record({"grasp": channel}, diagnosis.notes)
 
 
 def _effect(
@@ -403,9 +371,8 @@ def _parameters(cause: Cause, declared: Mapping[str, GraspObject]) -> dict[str, 
 
 
 def _estimate(cause: Cause, factor: float, unit: str) -> dict[str, Any]:
-    value, stderr = factor * cause.value, factor * cause.stderr
-    return {"value": finite(value), "stderr": finite(stderr), "unit": unit}
+    return record.estimate(factor * cause.value, factor * cause.stderr, unit)
 
 
 def _error(rate: float, n: int) -> dict[str, Any]:
-    return {"rmse": rate, "nrmse": rate, "unit": "mislabel_rate", "mislabels": round(rate * n)}
+    return record.error(rate, 1.0, "mislabel_rate", mislabels=round(rate * n))

@@ -6,12 +6,12 @@ import numpy as np
 
 from tacgen.collection.perturbed import Outcome
 from tacgen.core.types import BoolArray, FloatArray, IntArray
-from tacgen.diagnose.grasps.rules import RULES
+from tacgen.diagnose.rules import GRASPS
 
 
 def limited(margin: FloatArray) -> FloatArray:
     """Margins cut where it makes no difference how far they are."""
-    return np.clip(margin, -RULES.farthest_margin, RULES.farthest_margin)
+    return np.clip(margin, -GRASPS.farthest_margin, GRASPS.farthest_margin)
 
 
 def closed_form_margin(
@@ -87,10 +87,10 @@ def signed_margin(
     the largest of a success (``turn_ratio``, one over the other). A ``label`` of −1 (not executed)
     counts as a clear failure; ratios as in ``closed_form_margin``, all of one shape.
     """
-    least, most = RULES.turn_margin
+    least, most = GRASPS.turn_margin
     slip = np.nan_to_num(
         closed_form_margin(friction_ratio, torsion_ratio, whole_torsion_ratio),
-        nan=-RULES.farthest_margin,
+        nan=-GRASPS.farthest_margin,
     )
     with np.errstate(invalid="ignore"):
         turned = 0.5 * np.abs(np.log(np.maximum(turn_ratio, 1e-5)))
@@ -98,7 +98,7 @@ def signed_margin(
     sign = np.where(label == 1, 1.0, -1.0)
     agrees = np.where(label == 1, slip > 0, slip < 0)
     executed = np.where(agrees, slip, sign * by_turn)
-    return np.where(label < 0, RULES.not_executed_margin, executed)
+    return np.where(label < 0, GRASPS.not_executed_margin, executed)
 
 
 def turning_share(
@@ -108,11 +108,11 @@ def turning_share(
 
     A simulated failure shows which it was; of a success, the nearer limit is passed first.
     """
-    sure = RULES.sure_mode
+    sure = GRASPS.sure_mode
     with np.errstate(divide="ignore", invalid="ignore"):
         lead = np.log(friction_ratio) - np.log(torsion_ratio)
     lead = limited(np.nan_to_num(lead, nan=0.0))
-    nearer = 1 / (1 + np.exp(-lead / RULES.mode_width))
+    nearer = 1 / (1 + np.exp(-lead / GRASPS.mode_width))
     likely = (1 - sure) + (2 * sure - 1) * nearer
     known = np.where(turned, sure, 1 - sure)
     return np.where(label == 0, known, np.where(label < 0, 0.5, likely))
@@ -159,7 +159,7 @@ def holds_from(gain: FloatArray, margin: FloatArray) -> float | None:
     if len(changes) != 1 or margin[0] > 0:
         return None
     (low, high), (below, above) = (row[changes[0] :][:2] for row in (gain, margin))
-    if abs((above - below) - (high - low)) < RULES.same_margin:
+    if abs((above - below) - (high - low)) < GRASPS.same_margin:
         return float(np.clip(low - below, low, high))
     return float(low + high) / 2
 

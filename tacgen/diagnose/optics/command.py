@@ -1,12 +1,12 @@
 """What ``tacgen diagnose optics`` does: read presses, diagnose, write table, JSON and page."""
 
-import json
 from pathlib import Path
 
-from tacgen.core.files import refuse_other_page, write_text
+from tacgen.core.files import refuse_other_page
 from tacgen.diagnose.optics.diagnose import OpticsDiagnosis, diagnose_optics
 from tacgen.diagnose.optics.pictures import press_pictures
 from tacgen.diagnose.optics.report import write_optics_page
+from tacgen.diagnose.record import write_record
 from tacgen.optics.table import load_table, save_table
 from tacgen.presses.press_folder import read_presses
 from tacgen.presses.press_images import PressImages
@@ -31,7 +31,7 @@ def diagnose_presses(
     record = diagnosis.as_dict()
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
-    write_text(out / "diagnosis.json", json.dumps(record, indent=2) + "\n")
+    write_record(record, out)
     save_table(diagnosis.table, out / "table.npz")
     write_optics_page(
         out / "report.html",

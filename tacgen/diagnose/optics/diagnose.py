@@ -12,12 +12,15 @@ from tacgen.calibrate.lookup.table_fit import calibrate, camera_noise_grey
 from tacgen.core.errors import PressError
 from tacgen.core.resources import __version__
 from tacgen.core.types import FloatArray
+from tacgen.diagnose import record
+from tacgen.diagnose.evidence import Dependence, interval_95, resampled_squares
 from tacgen.diagnose.optics.fit import Known, Model, PressFit, typical
 from tacgen.diagnose.optics.rendering import views_of
-from tacgen.diagnose.optics.residuals import Dependence, dependences
-from tacgen.diagnose.optics.rules import RULES, SelectionRules
-from tacgen.diagnose.optics.selection import Scored, Selection, Step, log_gain, select
+from tacgen.diagnose.optics.residuals import dependences
+from tacgen.diagnose.optics.selection import Scored, Selection, log_gain, select
 from tacgen.diagnose.optics.sharpness import LostNoise, lost_noise
+from tacgen.diagnose.record import estimate
+from tacgen.diagnose.rules import OPTICS, OpticsRules
 from tacgen.optics.effects import (
     OpticalCandidate,
     PressScene,
@@ -28,6 +31,8 @@ from tacgen.optics.effects import (
 from tacgen.optics.table import LookupTable
 from tacgen.presses.experiments import ranked
 from tacgen.presses.press_images import PressImages
+
+RESAMPLINGS = 2000  # of the test presses
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +82,7 @@ class PressErrors:
 
 
 @dataclass(frozen=True, slots=True)
-class OpticsDiagnosis:
+class OpticsDiagnosis(record.Summarised):
     """The outcome, with everything that the report shows.
 
     ``table`` is the table that was compared, with the effects that were found.
@@ -98,13 +103,6 @@ class OpticsDiagnosis:
     mean_grey: float
 
     @property
-    def verdict(self) -> str:
-        """``unexplained`` if structure is left, whatever was found."""
-        if self.unexplained:
-            return "unexplained"
-        return "effect_found" if self.effects else "sufficient"
-
-    @property
     def rmse_before(self) -> float:
         """On test presses, grey levels."""
         return self.before.rmse
@@ -119,73 +117,64 @@ class OpticsDiagnosis:
         """95 % interval of the gain in RMSE, by bootstrap over the test presses."""
         before, after = self.before.squares, self.after.squares
         rng = np.random.default_rng(np.random.SeedSequence(0, spawn_key=(len(before),)))
-        drawn = rng.integers(0, len(before), (2000, len(before)))
-        gains = np.sqrt(before[drawn].mean(axis=1)) - np.sqrt(after[drawn].mean(axis=1))
-        low, high = np.quantile(gains, [0.025, 0.975])
-        return float(low), float(high)
+        drawn = resampled_squares(before, after, RESAMPLINGS, rng)
+        return interval_95(np.sqrt(drawn[0]) - np.sqrt(drawn[1]))
 
     @property
-    def sentence(self) -> str:
-        """The verdict in one plain sentence."""
-        rest = ""
-        if self.unexplained:
-            covariates = ", ".join(d.covariate for d in self.unexplained)
-            rest = f" The residual still depends on {covariates}; no listed effect explains that."
-        if self.effects:
-            names = ", ".join(f"{e.name} ({e.heldout_gain:.2f} grey levels)" for e in self.effects)
-            return (
-                f"Found {names}: the error on held-out presses goes from {self.rmse_before:.2f} "
-                f"to {self.rmse_after:.2f} grey levels.{rest}"
-            )
-        if rest:
-            return (
-                f"No listed effect lowers the error of {self.rmse_before:.2f} grey levels on "
-                f"held-out presses.{rest}"
-            )
-        return (
-            f"The table suffices: {self.rmse_before:.2f} grey levels on held-out presses, and no "
-            "effect lowers that reliably."
+    def summary(self) -> record.Summary:
+        """Verdict and sentence."""
+        return record.Summary(
+            "The table",
+            [f"{one.name} ({one.heldout_gain:.2f} grey levels)" for one in self.effects],
+            [one.covariate for one in self.unexplained],
+            before=self.before.rmse,
+            after=self.after.rmse,
+            floor=self.noise_floor,
+            unit="grey",
+            held="held-out presses",
         )
 
     def as_dict(self) -> dict[str, Any]:
         """The content of ``diagnosis.json``."""
-        channel = {
-            "verdict": self.verdict,
-            "sentence": self.sentence,
-            "effects": [asdict(effect) for effect in self.effects],
-            "unexplained": [asdict(dependence) for dependence in self.unexplained],
-            "cannot_tell": list(self.cannot_tell),
-            "error_before": self._error(self.before),
-            "error_after": self._error(self.after),
-            "gain_interval_95": list(self.gain_interval),
-            "noise_floor": {
-                "rmse": self.noise_floor,
-                "how": "second differences of neighbouring pixels: the camera's noise alone",
-            },
-            "trials": {"fit": self.n_fit, "test": self.test_fit.n_presses},
-            "steps": [
+        channel = record.channel_record(
+            self,
+            effects=[asdict(effect) for effect in self.effects],
+            unexplained=[
+                {"covariate": one.covariate, "p_value": one.p_value, "gain_grey": one.gain}
+                for one in self.unexplained
+            ],
+            error_before=self._error(self.before),
+            error_after=self._error(self.after),
+            noise_floor=(
+                self.noise_floor,
+                "second differences of neighbouring pixels: the camera's noise alone",
+            ),
+            trials=(self.n_fit, self.test_fit.n_presses),
+            cannot_tell=list(self.cannot_tell),
+            gain_interval_95=list(self.gain_interval),
+            steps=[
                 {
-                    "error_before": step.before,
-                    "chosen": step.chosen.name if step.chosen else "",
+                    "error_before": step.current.rmse,
+                    "chosen": step.found.name if step.found else "",
                     "rmse": {one.name: one.rmse for one in reversed(step.tried)},
                 }
                 for step in self.selection.steps
             ],
-        }
-        return {"schema": 1, "channels": {"rgb": channel}}
+        )
+        return record.diagnosis_record({"rgb": channel})
 
     def _error(self, errors: PressErrors) -> dict[str, Any]:
-        return {
-            "rmse": errors.rmse,
-            "nrmse": errors.rmse / self.mean_grey,
-            "unit": "grey",
-            "inside_circle": errors.inside,
-            "refined": errors.refined,
-        }
+        return record.error(
+            errors.rmse,
+            self.mean_grey,
+            "grey",
+            inside_circle=errors.inside,
+            refined=errors.refined,
+        )
 
 
 def diagnose_optics(
-    presses: PressImages, table: LookupTable | None = None, rules: SelectionRules = RULES
+    presses: PressImages, table: LookupTable | None = None, rules: OpticsRules = OPTICS
 ) -> OpticsDiagnosis:
     """Trace to optical effects what a calibrated table does not explain of ball presses.
 
@@ -241,43 +230,35 @@ def diagnose_optics(
         selection = select(fit, start, scene, without)
         gains = [_gain(test_fit, test_start, selection, k) for k in range(len(selection.added))]
         weak = [
-            _chosen(step).candidate.effect
-            for step, (gain, error, objected) in zip(selection.added, gains, strict=True)
+            found.name
+            for (_, found, _), (gain, error, objected) in zip(selection.added, gains, strict=True)
             if objected or gain <= rules.clear_lead_in_se * error
         ]
         if not weak:
             break
         without.add(weak[0])
-    found = selection.chosen
-    left = dependences(fit, found)
+    model = selection.chosen
     return OpticsDiagnosis(
         effects=(
             *([_out_of_focus(focus)] if focus else []),
             *(
-                _found(fit, selection, step, gain)
+                _found(fit, model, *step, gain)
                 for step, gain in zip(selection.added, gains, strict=True)
             ),
         ),
-        unexplained=tuple(left),
+        unexplained=dependences(fit, model),
         cannot_tell=_cannot_tell(scene, selection),
         selection=selection,
-        table=_extended(whole, found, noise),
+        table=_extended(whole, model, noise),
         tests=np.nonzero(testing)[0],
         test_fit=test_fit,
         test_start=test_start,
         before=_errors(test_fit, test_start),
-        after=_errors(test_fit, on_presses(test_fit, test_start, found)),
+        after=_errors(test_fit, on_presses(test_fit, test_start, model)),
         noise_floor=noise,
         n_fit=shown.n_experiments,
         mean_grey=float(presses.images.mean()),
     )
-
-
-def _chosen(step: Step) -> Scored:
-    if step.chosen is None:
-        msg = "this step chose nothing"
-        raise ValueError(msg)
-    return step.chosen
 
 
 def on_presses(fit: PressFit, start: Model, found: Model) -> Model:
@@ -291,15 +272,15 @@ def _gain(fit: PressFit, start: Model, selection: Selection, k: int) -> tuple[fl
     In grey levels, over all presses, those of ``fit``, which are the test presses, too; each by
     parameters that it had no part in.
     """
-    step = selection.added[k]
-    before = selection.start if k == 0 else _chosen(selection.added[k - 1]).model
+    current, found, _ = selection.added[k]
+    before = selection.start if k == 0 else selection.added[k - 1][1].model
     pairs = [
-        fit.squares(on_presses(fit, start, model), step.known, heldout=False)
-        for model in (before, _chosen(step).model)
+        fit.squares(on_presses(fit, start, model), found.known, heldout=False)
+        for model in (before, found.model)
     ]
     objected = fit.n_presses >= fit.rules.min_objecting and log_gain(*pairs)[0] <= 0
-    before_squares = np.append(step.squares, pairs[0])
-    gain, error = log_gain(before_squares, np.append(_chosen(step).squares, pairs[1]))
+    before_squares = np.append(current.squares, pairs[0])
+    gain, error = log_gain(before_squares, np.append(found.squares, pairs[1]))
     rmse = math.sqrt(typical(before_squares))
     return rmse * (1 - math.exp(-0.5 * gain)), 0.5 * rmse * error, objected
 
@@ -316,7 +297,7 @@ def _errors(fit: PressFit, model: Model) -> PressErrors:
 
 
 def _out_of_focus(focus: LostNoise) -> FoundEffect:
-    sigma = _number(focus.sigma_mm, focus.sigma_stderr_mm, "mm")
+    sigma = estimate(focus.sigma_mm, focus.sigma_stderr_mm, "mm")
     return FoundEffect(
         name=focus.effect.reported_name,
         how="Gaussian over the whole picture, by its noise",
@@ -329,20 +310,24 @@ def _out_of_focus(focus: LostNoise) -> FoundEffect:
 
 
 def _found(
-    fit: PressFit, selection: Selection, step: Step, gain: tuple[float, float, bool]
+    fit: PressFit,
+    model: Model,
+    before: Scored,
+    found: Scored,
+    second: Scored | None,
+    gain: tuple[float, float, bool],
 ) -> FoundEffect:
-    one, second = _chosen(step), step.runner_up
     return FoundEffect(
-        name=one.name,
-        how=one.candidate.label,
-        parameters=_parameters(fit, selection.chosen, one.candidate, step.known),
-        cv_gain=step.before - one.rmse,
+        name=found.name,
+        how=found.candidate.label,
+        parameters=_parameters(fit, model, found.candidate, found.known),
+        cv_gain=before.rmse - found.rmse,
         heldout_gain=gain[0],
         heldout_gain_stderr=gain[1],
-        p_value=one.p_value,
+        p_value=found.p_value,
         runner_up=second.name if second else "",
-        runner_up_gain=step.before - second.rmse if second else 0.0,
-        as_good=step.as_good,
+        runner_up_gain=before.rmse - second.rmse if second else 0.0,
+        as_good=found.as_good,
     )
 
 
@@ -352,7 +337,7 @@ def _parameters(
     """The fitted parameters of an effect, with standard errors over the presses."""
     effect, errors = optical_effect(candidate.effect), fit.stderr(model, known)
     found = {
-        name: _number(model.shared[effect.name, name], errors[effect.name, name], parameter.unit)
+        name: estimate(model.shared[effect.name, name], errors[effect.name, name], parameter.unit)
         for name, parameter in candidate.shared.items()
     }
     chosen = {
@@ -361,19 +346,15 @@ def _parameters(
         if owner == effect.name and name not in found
     }
     for name, value in chosen.items():
-        found[name] = _number(value, None, effect.parameters[name].unit)
+        found[name] = estimate(value, None, effect.parameters[name].unit)
     own = fit.by_press(fit.own_values(model, known)) if candidate.each else np.zeros((0, 3))
     for name, values in zip(candidate.each, own.T, strict=False):
         unit, count = effect.parameters[name].unit, len(values)
         mean, scatter = float(values.mean()), float(values.std(ddof=1))
         identity = effect.parameters[name].identity
-        found[f"{name}_mean"] = _number(identity + mean, scatter / math.sqrt(count), unit)
-        found[f"{name}_scatter"] = _number(scatter, scatter / math.sqrt(2 * count - 2), unit)
+        found[f"{name}_mean"] = estimate(identity + mean, scatter / math.sqrt(count), unit)
+        found[f"{name}_scatter"] = estimate(scatter, scatter / math.sqrt(2 * count - 2), unit)
     return found
-
-
-def _number(value: float, stderr: float | None, unit: str) -> dict[str, Any]:
-    return {"value": value, "stderr": stderr, "unit": unit}
 
 
 def _extended(table: LookupTable, found: Model, noise_grey: float) -> LookupTable:
@@ -401,10 +382,10 @@ def _cannot_tell(scene: PressScene, selection: Selection) -> tuple[str, ...]:
         for effect in optical_effects()
         if (line := effect.cannot_tell(scene, [c for c in found if c.effect == effect.name]))
     ]
-    for step in selection.added:
-        if step.as_good:
-            lines.append(
-                f"{_chosen(step).name} was selected; the presses hardly separate it from "
-                f"{', '.join(step.as_good)}: more presses, over the whole gel, would."
-            )
+    lines += [
+        f"{one.name} was selected; the presses hardly separate it from {', '.join(one.as_good)}: "
+        "more presses, over the whole gel, would."
+        for _, one, _ in selection.added
+        if one.as_good
+    ]
     return tuple(lines)

@@ -9,7 +9,7 @@ import numpy as np
 from tacgen.calibrate.lookup.model_choice import fold_of
 from tacgen.core.types import BoolArray, FloatArray, IntArray
 from tacgen.diagnose.optics.rendering import PressView
-from tacgen.diagnose.optics.rules import SelectionRules
+from tacgen.diagnose.rules import OpticsRules
 from tacgen.optics.effects import OpticalCandidate, OpticalParameter, Stage, optical_effect
 from tacgen.optics.render import Effects
 from tacgen.presses.experiments import per_experiment
@@ -121,7 +121,7 @@ class PressFit:
     """Fits models to a set of presses and scores them on held-out ones."""
 
     def __init__(
-        self, views: Sequence[PressView], rules: SelectionRules, experiment: IntArray | None = None
+        self, views: Sequence[PressView], rules: OpticsRules, experiment: IntArray | None = None
     ) -> None:
         self.views, self.rules = views, rules
         self.experiment = np.arange(len(views)) if experiment is None else experiment

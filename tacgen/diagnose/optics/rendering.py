@@ -11,7 +11,7 @@ import numpy as np
 from tacgen.calibrate.lookup.prepared import Pixels, disc_pixels
 from tacgen.calibrate.lookup.score import PressRenderer, press_model_of
 from tacgen.core.types import BoolArray, FloatArray, IntArray
-from tacgen.diagnose.optics.rules import SelectionRules
+from tacgen.diagnose.rules import OpticsRules
 from tacgen.optics.effects import OpticalEffect, Patch, Stage, optical_effects
 from tacgen.optics.render import Effects
 from tacgen.optics.table import LookupTable, features
@@ -26,7 +26,7 @@ def _patch(table: LookupTable, pixels: Pixels, time: float) -> Patch:
     return Patch(background, u, v, table.mm_per_px, time=time)
 
 
-def _bare_pixels(presses: PressImages, k: int, rules: SelectionRules) -> Pixels:
+def _bare_pixels(presses: PressImages, k: int, rules: OpticsRules) -> Pixels:
     """A lattice of the pixels of press ``k`` that lie beyond its contact."""
     corner = math.hypot(*presses.shape_px) / float(presses.radius_px[k])
     whole = disc_pixels(presses, k, reach=corner, inner=rules.bare_beyond_radii)
@@ -61,7 +61,7 @@ class PressView:
 
     @classmethod
     def of(
-        cls, presses: PressImages, k: int, renderer: PressRenderer, rules: SelectionRules
+        cls, presses: PressImages, k: int, renderer: PressRenderer, rules: OpticsRules
     ) -> PressView:
         """Press ``k`` on a lattice of at most ``limit`` of its pixels."""
         label, ball = label_mm(presses)[k], float(presses.ball_radius_mm[k])
@@ -138,7 +138,7 @@ def views_of(
     presses: PressImages,
     shown: BoolArray,
     tables: Sequence[LookupTable],
-    rules: SelectionRules,
+    rules: OpticsRules,
     folds: IntArray | None = None,
 ) -> list[PressView]:
     """The pictures that are shown, each rendered by the table of its fold, by default the first."""

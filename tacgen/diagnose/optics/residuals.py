@@ -1,32 +1,20 @@
 """What the residuals of held-out presses still follow that no listed effect explains."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.stats import t as student
 
 from tacgen.core.types import FloatArray
+from tacgen.diagnose.evidence import Dependence
 from tacgen.diagnose.optics.fit import Model, PressFit, typical
 from tacgen.diagnose.optics.selection import log_gain
 
 PLACE = "place_on_gel"
 AROUND = "distance_and_direction"
 AROUND_BY_PLACE = "distance_and_direction_by_place"
-
-
 _TEN_MM = 10.0  # a gel's size
 
 
-@dataclass(frozen=True, slots=True)
-class Dependence:
-    """A covariate that the residuals follow, and what predicting by it lowers the error by."""
-
-    covariate: str
-    p_value: float
-    gain_grey: float
-
-
-def dependences(fit: PressFit, model: Model) -> list[Dependence]:
+def dependences(fit: PressFit, model: Model) -> tuple[Dependence, ...]:
     """Covariates that a model's held-out residuals follow, the strongest first.
 
     For each the residuals are predicted from the other folds' presses and subtracted; a line in a
@@ -58,7 +46,7 @@ def dependences(fit: PressFit, model: Model) -> list[Dependence]:
         p_value = float(student.sf(gain / error, len(before) - 1))
         if grey > rules.least_structure_grey and p_value <= rules.false_alarm:
             found.append(Dependence(name, p_value, grey))
-    return sorted(found, key=lambda dependence: -dependence.gain_grey)
+    return tuple(sorted(found, key=lambda dependence: -dependence.gain))
 
 
 def _hats(values: FloatArray, nodes: FloatArray) -> FloatArray:

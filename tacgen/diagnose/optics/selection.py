@@ -1,14 +1,16 @@
-"""Forward selection of optical effects by the error on held-out presses."""
+"""Optical effects of ball presses as a problem of the one search, one kind after the other."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import t as student
 
 from tacgen.core.types import FloatArray
+from tacgen.diagnose.engine import Problem, Step, reached, search
 from tacgen.diagnose.optics.fit import Known, Model, PressFit, known_for, typical
+from tacgen.diagnose.rules import OpticsRules
 from tacgen.optics.effects import OpticalCandidate, PressScene, optical_effect, optical_effects
 
 Kind = tuple[Known, bool, bool]
@@ -40,22 +42,39 @@ def log_gain(before: FloatArray, after: FloatArray) -> tuple[float, float]:
 
 @dataclass(frozen=True, slots=True)
 class Scored:
-    """A model with one candidate more, and its squared errors (E,) on held-out presses."""
+    """A model, its squared errors (E,) on held-out presses, and what its last candidate gains.
+
+    ``known`` is what was taken as stated, ``among`` how many candidates were tried beside it;
+    those of ``as_good`` it leads by no more than chance.
+    """
 
     model: Model
     squares: FloatArray
-    gain: float
-    gain_stderr: float
-    p_value: float
+    known: Known
+    gain: float = 0.0
+    gain_stderr: float = 0.0
+    p_value: float = 1.0
+    among: int = 1
+    as_good: tuple[str, ...] = ()
+
+    @property
+    def members(self) -> tuple[OpticalCandidate, ...]:
+        """What was added."""
+        return self.model.candidates
+
+    @property
+    def loss(self) -> float:
+        """Mean logarithm of the squared errors."""
+        return float(np.log(self.squares + 1e-6).mean())
 
     @property
     def candidate(self) -> OpticalCandidate:
-        """What was added."""
+        """What was added last."""
         return self.model.candidates[-1]
 
     @property
     def name(self) -> str:
-        """The effect that was added."""
+        """The effect that was added last."""
         return self.candidate.effect
 
     @property
@@ -65,45 +84,29 @@ class Scored:
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
-    """One step: squared errors (E,) before it, every candidate, and which was chosen."""
-
-    known: Known
-    squares: FloatArray
-    tried: tuple[Scored, ...]
-    chosen: Scored | None
-    as_good: tuple[str, ...] = ()
-
-    @property
-    def before(self) -> float:
-        """RMSE of a typical press, grey levels."""
-        return math.sqrt(typical(self.squares))
-
-    @property
-    def runner_up(self) -> Scored | None:
-        """The best one of another effect."""
-        name = self.chosen.name if self.chosen else ""
-        others = [one for one in self.tried if one.name != name]
-        return others[0] if others else None
-
-
-@dataclass(frozen=True, slots=True)
 class Selection:
-    """The table alone, and the steps with one effect more each; the last of a kind chose none."""
+    """The table alone, and the steps with one effect more each; the last of a kind found none."""
 
     start: Model
-    steps: tuple[Step, ...]
+    steps: tuple[Step[Scored], ...]
 
     @property
-    def added(self) -> list[Step]:
-        """The steps that chose an effect."""
-        return [step for step in self.steps if step.chosen is not None]
+    def added(self) -> list[tuple[Scored, Scored, Scored | None]]:
+        """Before and after each step that found an effect, and the best one of another effect."""
+        return [
+            (
+                step.current,
+                step.found,
+                next((one for one in step.tried if one.name != step.found.name), None),
+            )
+            for step in self.steps
+            if step.found is not None
+        ]
 
     @property
     def chosen(self) -> Model:
-        """The model with all effects that were chosen."""
-        models = [step.chosen.model for step in self.steps if step.chosen is not None]
-        return models[-1] if models else self.start
+        """The model with all effects that were found."""
+        return self.added[-1][1].model if self.added else self.start
 
 
 def select(fit: PressFit, start: Model, scene: PressScene, without: set[str]) -> Selection:
@@ -111,70 +114,114 @@ def select(fit: PressFit, start: Model, scene: PressScene, without: set[str]) ->
 
     Effects whose names are in ``without`` are not tried.
     """
-    model, steps = start, []
+    model, steps = start, list[Step[Scored]]()
     for kind in ORDER:
-        while len(model.candidates) < fit.rules.max_effects:
-            step = _step(fit, model, scene, kind, without)
-            if step is None:
-                break
-            steps.append(step)
-            if step.chosen is None:
-                break
-            model = step.chosen.model
+        problem = PressProblem(fit, scene, kind, without)
+        if problem.listed:
+            found = search(problem, problem.unchanged(model))
+            steps += [step for step in found if step.tried]
+            model = reached(found).model
     return Selection(start, tuple(steps))
 
 
-def _step(
-    fit: PressFit, model: Model, scene: PressScene, kind: Kind, without: set[str]
-) -> Step | None:
-    known, taken = kind[0], {c.effect for c in model.candidates if _kind(c) == kind}
-    listed = [
-        candidate
-        for effect in optical_effects()
-        if effect.name not in without | taken
-        for candidate in effect.candidates(scene)
-        if _kind(candidate) == kind
-    ]
-    if not listed:
-        return None
-    residuals = fit.residuals(model, known)
-    before = fit.mean_squares(residuals)
-    tried = sorted(
-        (_scored(fit, model, candidate, known, residuals) for candidate in listed),
-        key=lambda one: -one.gain,
-    )
-    worth = [one for one in tried if _is_worth(fit, one, len(tried))]
-    if not worth:
-        return Step(known, before, tuple(tried), None)
-    # Of those that are not clearly worse than the best one, the one with the fewest parameters.
-    close = [one for one in worth if _is_as_good(fit, one, worth[0])]
-    chosen = min(close, key=lambda one: len(one.candidate.shared))
-    as_good = sorted({one.name for one in close} - {chosen.name})
-    if known == Known.NOTHING:
-        # How bright the presses are in the mean is the effect's too.
-        moved = fit.fitted(fit.placed(chosen.model), Known.EXPOSURE)
-        chosen = replace(chosen, model=moved)
-    return Step(known, before, tuple(tried), chosen, tuple(as_good))
+class PressProblem(Problem[OpticalCandidate, Scored]):
+    """Candidates of one ``kind`` beside those of the kinds before it, which stay."""
 
+    rules: OpticsRules
 
-def _scored(
-    fit: PressFit, model: Model, candidate: OpticalCandidate, known: Known, before: list[FloatArray]
-) -> Scored:
-    starts = [_with(model, candidate, start) for start in candidate.starts]
-    if len(starts) > 1:
-        starts = [min(starts, key=lambda one: typical(fit.squares(one, known)))]
-    fitted = fit.fitted(starts[0], known)
-    after = fit.residuals(fitted, known)
-    if known == Known.PLACE and candidate.each:
-        places = fit.own_values(model, known)
-        apart = ((places - places.mean(axis=0)) ** 2).mean(axis=1)
-        evidence = np.log(apart / fit.rules.usual_scatter_radii**2)
-    else:
-        evidence = correlations(before, [b - a for b, a in zip(before, after, strict=True)])
-    squares = fit.mean_squares(after)
-    gain, error = log_gain(fit.mean_squares(before), squares)
-    chance = _chance(fit.by_press(evidence), fit.rules.table_presses)
-    return Scored(fitted, squares, gain, error, chance)
+    def __init__(self, fit: PressFit, scene: PressScene, kind: Kind, without: set[str]) -> None:
+        self.rules, self._fit, self._known = fit.rules, fit, kind[0]
+        self._kind = kind
+        self.listed = [
+            candidate
+            for effect in optical_effects()
+            if effect.name not in without
+            for candidate in effect.candidates(scene)
+            if _kind(candidate) == kind
+        ]
+        self._before: tuple[Model, list[FloatArray]] | None = None
+
+    def unchanged(self, model: Model) -> Scored:
+        """A model whose errors are compared with."""
+        return Scored(model, self._fit.mean_squares(self._residuals(model)), self._known)
+
+    def _residuals(self, model: Model) -> list[FloatArray]:
+        if self._before is None or self._before[0] is not model:
+            self._before = model, self._fit.residuals(model, self._known)
+        return self._before[1]
+
+    def pool(self, current: Scored) -> list[tuple[OpticalCandidate, float]]:
+        """Those of effects that the model has not got of this kind."""
+        taken = {one.effect for one in current.members if _kind(one) == self._kind}
+        return [(one, math.inf) for one in self.listed if one.effect not in taken]
+
+    def add(self, current: Scored, more: Sequence[OpticalCandidate]) -> Scored:
+        """Fit one candidate more, from the start that fits best."""
+        (candidate,), fit, known, model = more, self._fit, self._known, current.model
+        before = self._residuals(model)
+        starts = [_with(model, candidate, start) for start in candidate.starts]
+        if len(starts) > 1:
+            starts = [min(starts, key=lambda one: typical(fit.squares(one, known)))]
+        fitted = fit.fitted(starts[0], known)
+        after = fit.residuals(fitted, known)
+        if known == Known.PLACE and candidate.each:
+            places = fit.own_values(model, known)
+            apart = ((places - places.mean(axis=0)) ** 2).mean(axis=1)
+            evidence = np.log(apart / fit.rules.usual_scatter_radii**2)
+        else:
+            evidence = correlations(before, [b - a for b, a in zip(before, after, strict=True)])
+        squares = fit.mean_squares(after)
+        gain, error = log_gain(fit.mean_squares(before), squares)
+        chance = _chance(fit.by_press(evidence), fit.rules.table_presses)
+        return Scored(fitted, squares, known, gain, error, chance, len(self.pool(current)))
+
+    def without(self, full: Scored, member: OpticalCandidate) -> Scored:
+        """The model that a step began with: the others were accepted before."""
+        if self._before is None or member is not full.candidate:
+            msg = f"{member.effect} was accepted in a step before and stays"
+            raise ValueError(msg)
+        return self.unchanged(self._before[0])
+
+    def accepts(self, full: Scored, member: OpticalCandidate) -> bool:
+        """Whether the last candidate's gain is large, clear, and none that chance makes."""
+        if member is not full.candidate:
+            return True  # of a step before
+        if member.evident:
+            return full.gain > 0
+        rules = self.rules
+        least = rules.least_gain + rules.least_gain_per_parameter * len(member.shared)
+        if member.rigid:
+            least = rules.least_gain_of_rigid
+            if math.expm1(0.5 * full.gain) * full.rmse < rules.least_gain_grey:
+                return False
+        if member.each:
+            place = self._known == Known.PLACE
+            least = rules.least_gain_of_places if place else rules.least_gain_of_exposures
+        least = max(least, rules.clear_gain_in_se * full.gain_stderr)
+        return full.gain >= least and full.p_value <= rules.false_alarm / full.among
+
+    def ordered(self, ends: Sequence[Scored]) -> list[Scored]:
+        """Of those that are not clearly worse than the best, the one with fewest parameters."""
+        worth = sorted((e for e in ends if self.accepts(e, e.candidate)), key=self.score)
+        if not worth:
+            return []
+        leads = [log_gain(one.squares, worth[0].squares) for one in worth[1:]]
+        close = [
+            one
+            for one, (lead, error) in zip(worth[1:], leads, strict=True)
+            if lead < self.rules.clear_lead_in_se * error
+        ]
+        chosen = min([worth[0], *close], key=lambda one: len(one.candidate.shared))
+        as_good = {one.name for one in (worth[0], *close)} - {chosen.name}
+        model = chosen.model
+        if self._known == Known.NOTHING:
+            # How bright the presses are in the mean is the effect's too.
+            model = self._fit.fitted(self._fit.placed(model), Known.EXPOSURE)
+        return [replace(chosen, model=model, as_good=tuple(sorted(as_good)))]
+
+    def settled(self, found: Scored) -> Scored:
+        """Its errors as the next step compares them."""
+        return self.unchanged(found.model)
 
 
 def correlations(residuals: list[FloatArray], changes: list[FloatArray]) -> FloatArray:
@@ -203,26 +250,3 @@ def _with(model: Model, candidate: OpticalCandidate, start: Mapping[str, float])
         if key not in table:
             shared[name, key] = value
     return replace(model, candidates=(*model.candidates, candidate), shared=shared)
-
-
-def _is_worth(fit: PressFit, one: Scored, n_tried: int) -> bool:
-    rules, candidate = fit.rules, one.candidate
-    if candidate.evident:
-        return one.gain > 0
-    least = rules.least_gain + rules.least_gain_per_parameter * len(candidate.shared)
-    if candidate.rigid:
-        least = rules.least_gain_of_rigid
-        before_grey = one.rmse * math.exp(0.5 * one.gain)
-        if before_grey - one.rmse < rules.least_gain_grey:
-            return False
-    if candidate.each:
-        place = _kind(candidate)[0] == Known.PLACE
-        least = rules.least_gain_of_places if place else rules.least_gain_of_exposures
-    least = max(least, rules.clear_gain_in_se * one.gain_stderr)
-    return one.gain >= least and one.p_value <= rules.false_alarm / n_tried
-
-
-def _is_as_good(fit: PressFit, one: Scored, best: Scored) -> bool:
-    """Whether the best one's lead is no clearer than chance."""
-    lead, error = log_gain(one.squares, best.squares)
-    return one is best or lead < fit.rules.clear_lead_in_se * error

@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 from scipy.stats import t as student
 
 from tacgen.calibrate.lookup.table_fit import image_noise_grey
-from tacgen.diagnose.optics.rules import SelectionRules
+from tacgen.diagnose.rules import OpticsRules
 from tacgen.optics.effects import OpticalEffect, Stage, optical_effects
 from tacgen.optics.table import LookupTable
 from tacgen.presses.experiments import per_experiment
@@ -57,7 +57,7 @@ def noise_share(sigma_px: float) -> float:
 
 
 def lost_noise(
-    shown: PressImages, tests: PressImages, table: LookupTable | None, rules: SelectionRules
+    shown: PressImages, tests: PressImages, table: LookupTable | None, rules: OpticsRules
 ) -> LostNoise | None:
     """The Gaussian that explains the noise of the pictures shown, where it is clearly too little.
 

@@ -7,7 +7,7 @@ from tacgen.contact.effects import all_effects
 from tacgen.diagnose.contact.candidates import confounded, log_covariates
 from tacgen.diagnose.contact.channel import ChannelSamples
 from tacgen.diagnose.contact.model import Model
-from tacgen.diagnose.contact.search import CandidateSets
+from tacgen.diagnose.contact.search import ContactProblem
 from tests.contact.effects.test_registry import press_columns
 from validation.blind.localised import one_log
 
@@ -50,7 +50,7 @@ def test_a_second_thermometer_can_do_what_the_temperature_does():
 
 def test_a_model_holds_one_of_two_that_can_do_the_same():
     data = data_of("normal", rig=of_trials(["auto", "manual"] * 12))
-    sets = CandidateSets(data, np.random.default_rng(0))
+    sets = ContactProblem(data, np.random.default_rng(0))
     base = sets.fitted((), sets.linear)
     pool = sets.pool(base)
     found = {one.label: one for one, _ in pool}

@@ -14,8 +14,8 @@ from tacgen.diagnose.contact.channel import ChannelSamples
 from tacgen.diagnose.contact.model import Model, fit_model, start_term
 from tacgen.diagnose.contact.residuals import dependences
 from tacgen.diagnose.contact.result import shown_parameters
-from tacgen.diagnose.contact.rules import DEFAULT_RULES as RULES
-from tacgen.diagnose.contact.search import Selection
+from tacgen.diagnose.contact.search import ContactProblem
+from tacgen.diagnose.rules import CONTACT as CONTACT
 
 K_N = 4.0
 N_TRIALS, N_SAMPLES = 24, 60
@@ -165,7 +165,7 @@ def test_a_form_is_corrected_only_where_held_out_trials_gain(weights, seed, corr
     response = prandtl_ishlinskii(-np.array(weights), [0.3, 1.0, 4.0])
     columns = presses(response, 0.1, seed, schedule=(0.05, 0.4, 0.45, 0.95, 1.0))
     data = ChannelSamples(columns, "normal").thinned()
-    found = Selection(data, np.random.default_rng(0)).run()
+    found = ContactProblem(data, np.random.default_rng(0)).run()
     assert [one.candidate.name for one in found.chosen] == ["hysteresis"]
     (term,) = found.final.fit.model.terms
     assert term.variant.label.endswith("corrected") == corrected
@@ -182,8 +182,8 @@ def test_a_corrected_law_leaves_nothing_that_a_covariate_explains():
     columns |= {"x_mm": x, "y_mm": y}
     columns["volume_mm3"] += K_N * columns["force_normal_n"] * 0.1 * np.tanh(x / 2)
     found = dependences(*free_fit(columns, "position"), rng)
-    assert min(one.p_value for one in found) > RULES.alpha
-    assert max(abs(one.share) for one in found) < RULES.min_gain
+    assert min(one.p_value for one in found) > CONTACT.alpha
+    assert max(abs(one.gain) for one in found) < CONTACT.min_gain
 
 
 def test_cross_validation_with_a_prior_is_ridge_regression_without_each_fold():
@@ -237,7 +237,7 @@ def test_seven_trials_suffice_for_two_clear_effects():
     columns = presses(lambda *press: 0.2 + creeping(*press), 0.05, 9)
     few = columns["trial"] < 7
     data = ChannelSamples({key: c[few] for key, c in columns.items()}, "normal").thinned()
-    found = Selection(data, np.random.default_rng(0)).run()
+    found = ContactProblem(data, np.random.default_rng(0)).run()
     assert {one.candidate.name for one in found.chosen} == {"creep", "zero_offset"}
 
 
@@ -250,15 +250,14 @@ def test_a_loop_of_another_form_is_hysteresis_alone_however_much_a_second_effect
 
     columns = presses(response, 0.1, 14, schedule=(0.0, 0.45, 0.5, 0.95, 1.0))
     data = ChannelSamples(columns, "normal").thinned()
-    selection = Selection(data, np.random.default_rng(0))
-    sets = selection.sets
+    sets = ContactProblem(data, np.random.default_rng(0))
     base = sets.fitted((), Model(K_N))
     pool = {one.label: one for one, _ in sets.pool(base)}
     labels = "hysteresis: play of 0.2 of the load", "stiffening: power -0.2"
     both = sets.add(base, [pool[label] for label in labels])
     play, stiffening = (sets.without(both, one).loss - both.loss for one in both.members)
     assert stiffening > play / 4.0
-    assert selection._without_mismatch(both).names == {"hysteresis"}
+    assert sets._without_mismatch(both).names == {"hysteresis"}
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.15])
@@ -271,12 +270,12 @@ def test_what_corrections_of_another_form_explain_is_no_effect_of_its_own(delay_
         return wide(before, time - delay_s, knots, peak)
 
     data = ChannelSamples(presses(delayed, 0.02, 10), "normal").thinned()
-    selection = Selection(data, np.random.default_rng(0))
-    base = selection.sets.fitted((), Model(K_N))
-    pool = {one.label: one for one, _ in selection.sets.pool(base)}
+    selection = ContactProblem(data, np.random.default_rng(0))
+    base = selection.fitted((), Model(K_N))
+    pool = {one.label: one for one, _ in selection.pool(base)}
     tau = next(label for label in pool if label.startswith("creep: recovering"))
-    both = selection.sets.add(base, [pool[tau], pool["latency: delay"]])
+    both = selection.add(base, [pool[tau], pool["latency: delay"]])
     kept = {"creep"} if delay_s == 0.0 else {"creep", "latency"}
     assert selection._without_mismatch(both).names == kept
-    rest = selection.sets.without(both, both.members[1])
-    assert selection.sets.is_worth(rest, both), "one Prony term alone leaves much"
+    rest = selection.without(both, both.members[1])
+    assert selection.is_worth(rest, both), "one Prony term alone leaves much"

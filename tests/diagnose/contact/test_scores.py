@@ -6,7 +6,7 @@ from scipy.stats import chi2, ttest_1samp
 
 from tacgen.diagnose.contact import scores
 from tacgen.diagnose.contact.channel import ChannelSamples, noise_floor
-from tacgen.diagnose.contact.rules import DEFAULT_RULES as RULES
+from tacgen.diagnose.rules import CONTACT as CONTACT
 
 N_TRIALS, N_SAMPLES = 40, 40
 
@@ -349,7 +349,7 @@ def test_columns_that_only_noise_tells_apart_cannot_leave_less_than_nothing():
 def test_chance_takes_a_sum_between_neighbours_below_zero_as_far_as_is_said():
     rng = np.random.default_rng(19)
     data, _, _ = grams_of(log(rng))
-    deviation = data.least_loss / -RULES.negative_loss_in_sd
+    deviation = data.least_loss / -CONTACT.negative_loss_in_sd
     sums = [grams_of(log(rng))[1][:, -1, -1].sum() for _ in range(60)]
     # The noise of a standard deviation of 60 draws is 9 %; that of the force adds to the volume's.
     assert np.std(sums) == pytest.approx(deviation, rel=0.3)

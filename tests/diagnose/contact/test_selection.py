@@ -8,8 +8,9 @@ import pytest
 from tacgen.diagnose.contact import scores
 from tacgen.diagnose.contact.channel import ChannelSamples
 from tacgen.diagnose.contact.command import diagnose
-from tacgen.diagnose.contact.rules import DEFAULT_RULES
-from tacgen.diagnose.contact.search import Selection, _in_turn, _worth_a_fit
+from tacgen.diagnose.contact.search import ContactProblem
+from tacgen.diagnose.engine import _in_turn, step, worth_a_fit
+from tacgen.diagnose.rules import CONTACT
 from tests.diagnose.contact.test_free_forms import K_N, N_TRIALS, presses, prony
 from validation.blind.evaluate import split
 from validation.blind.generator import draw_case
@@ -18,16 +19,16 @@ from validation.blind.generator import draw_case
 def selection_of_creep_and_offset(**rules):
     creeping = prony([0.15], [1.5])
     columns = presses(lambda *press: 0.2 + creeping(*press), 0.05, 9)
-    data = ChannelSamples(columns, "normal", replace(DEFAULT_RULES, **rules)).thinned()
-    return Selection(data, np.random.default_rng(0))
+    data = ChannelSamples(columns, "normal", replace(CONTACT, **rules)).thinned()
+    return ContactProblem(data, np.random.default_rng(0))
 
 
 def test_each_form_is_fitted_from_its_best_start_alone():
     """Two starts of one form end in one fit, in the place of another form."""
-    sets = selection_of_creep_and_offset().sets
+    sets = selection_of_creep_and_offset()
     pool = sets.pool(sets.fitted((), sets.linear))
     creeps = [(one, gain) for one, gain in pool if one.name == "creep"]
-    best = _worth_a_fit(creeps, -np.inf)
+    best = worth_a_fit(sets, creeps, -np.inf)
     assert len(best) < len(creeps)
     assert {one.form for one in best} == {one.form for one, _ in creeps}
     for one in best:
@@ -36,10 +37,10 @@ def test_each_form_is_fitted_from_its_best_start_alone():
 
 
 def test_what_promises_far_less_than_the_best_is_not_fitted():
-    sets = selection_of_creep_and_offset().sets
+    sets = selection_of_creep_and_offset()
     best, near = (pool := sets.pool(sets.fitted((), sets.linear)))[0][0], pool[-1][0]
     for gain, fitted in ((0.86, [best, near]), (0.84, [best])):
-        assert _worth_a_fit([(best, 1.0), (near, gain)], share=0.85) == fitted
+        assert worth_a_fit(sets, [(best, 1.0), (near, gain)], share=0.85) == fitted
 
 
 def test_every_rival_of_an_effect_is_looked_at_however_few_are_fitted_in_the_search():
@@ -63,17 +64,17 @@ def test_every_rival_of_an_effect_is_looked_at_however_few_are_fitted_in_the_sea
 
 def test_an_effect_is_needed_beside_one_without_which_cross_validation_goes_astray(monkeypatch):
     """2 % of what both explain is asked for, whatever a set without one of them seems to leave."""
-    sets = selection_of_creep_and_offset().sets
+    sets = selection_of_creep_and_offset()
     base = sets.fitted((), sets.linear)
     best = {one.name: one for one, _ in reversed(sets.pool(base))}
     full = sets.add(base, [best["creep"], best["zero_offset"]])
     offset = full.members[1]
     without = {one.name: sets.without(full, one) for one in full.members}
-    assert sets.is_accepted(full, offset)
+    assert sets.accepts(full, offset)
     astray = without["creep"].unit_losses + 1e4 * base.loss
     without["creep"] = replace(without["creep"], unit_losses=astray)
     monkeypatch.setattr(sets, "without", lambda _, member: without[member.name])
-    assert sets.is_accepted(full, offset)
+    assert sets.accepts(full, offset)
 
 
 @pytest.mark.parametrize(
@@ -93,7 +94,7 @@ def test_a_delay_and_a_lead_are_told_before_they_are_fitted(delay_s, form, other
     columns["volume_mm3"] += 0.2 * rng.normal(size=columns["trial"].size)
     data = ChannelSamples(columns, "normal").thinned()
     assert data.history.sample_period_s > 3 * abs(delay_s)
-    sets = Selection(data, np.random.default_rng(0)).sets
+    sets = ContactProblem(data, np.random.default_rng(0))
     base = sets.fitted((), sets.linear)
     gains = {one.label: gain for one, gain in sets.pool(base)}
     assert gains[f"latency: {form}"] > 0.9 * base.loss
@@ -102,7 +103,7 @@ def test_a_delay_and_a_lead_are_told_before_they_are_fitted(delay_s, form, other
 
 def test_no_form_explains_more_than_there_is(monkeypatch):
     """Products of neighbours may leave less than nothing of what only noise tells apart."""
-    sets = selection_of_creep_and_offset().sets
+    sets = selection_of_creep_and_offset()
     base = sets.fitted((), sets.linear)
     monkeypatch.setattr(scores, "believable", lambda losses, *_: losses - 0.2 * base.loss)
     gains = [gain for _, gain in sets.pool(base)]
@@ -112,7 +113,7 @@ def test_no_form_explains_more_than_there_is(monkeypatch):
 
 def test_an_effect_that_was_fitted_to_nothing_has_no_form_to_correct():
     """As a creep beside which another effect explains all; fits end at bounds such as 0."""
-    sets = selection_of_creep_and_offset().sets
+    sets = selection_of_creep_and_offset()
     base = sets.fitted((), sets.linear)
     creep = next(one for one, _ in sets.pool(base) if one.name == "creep")
     full = sets.add(base, [creep])
@@ -137,29 +138,28 @@ def test_causes_that_hide_each_other_in_few_trials_are_found_together():
     data = ChannelSamples(columns, "normal").thinned()
 
     def names():
-        return Selection(data, np.random.default_rng(0)).choose().accepted.names
+        return ContactProblem(data, np.random.default_rng(0)).choose().accepted.names
 
     assert names() == {"temperature", "position", "geometry"}
 
 
 def test_a_form_that_would_be_dropped_again_hides_no_other(monkeypatch):
-    selection = selection_of_creep_and_offset(max_members=1)
-    sets = selection.sets
+    sets = selection_of_creep_and_offset(max_members=1)
     base = sets.fitted((), sets.linear)
-    found = selection._better(base)
+    found = step(sets, base).found
     assert found.members[0].name == "creep"
-    monkeypatch.setattr(sets, "is_accepted", lambda _, member: member.name != "creep")
-    other = selection._better(base)
+    monkeypatch.setattr(sets, "accepts", lambda _, member: member.name != "creep")
+    other = step(sets, base).found
     assert other is None or other.members[0].name != "creep"
-    monkeypatch.setattr(sets, "is_accepted", lambda *_: False)
-    assert selection._better(base) is None
+    monkeypatch.setattr(sets, "accepts", lambda *_: False)
+    assert step(sets, base).found is None
 
 
 def test_what_promises_less_is_taken_in_turn_and_each_form_once():
     """A form that promises most may fail when it is fitted, beyond its bounds."""
-    sets = selection_of_creep_and_offset().sets
+    sets = selection_of_creep_and_offset()
     pool = sets.pool(sets.fitted((), sets.linear))
-    turns = list(_in_turn(pool, 0.85))
+    turns = list(_in_turn(sets, pool))
     promises = [promise for promise, _ in turns]
     assert promises == sorted(promises, reverse=True)
     taken = [(one.name, one.form) for _, best in turns for one in best]

@@ -11,8 +11,8 @@ from scipy.ndimage import gaussian_filter
 from tacgen.calibrate.lookup.table_fit import fit_lookup
 from tacgen.core.errors import PressError
 from tacgen.diagnose.optics.diagnose import diagnose_optics
-from tacgen.diagnose.optics.rules import RULES
 from tacgen.diagnose.optics.sharpness import lost_noise
+from tacgen.diagnose.rules import OPTICS
 from tacgen.optics import render_rgb
 from tacgen.presses.press_images import PressImages
 from tacgen.presses.screening import usable_presses
@@ -116,7 +116,7 @@ def test_pictures_out_of_focus_are_blurred():
     assert names(diagnosis)[0] == "blur"
     assert diagnosis.rmse_after < 1.02 * diagnosis.rmse_before
     assert "defocus" in diagnosis.table.effects
-    assert lost_noise(blurred, blurred, diagnosis.table, RULES) is None
+    assert lost_noise(blurred, blurred, diagnosis.table, OPTICS) is None
 
 
 @pytest.mark.slow

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from tacgen.diagnose.optics.rules import RULES
 from tacgen.diagnose.optics.sharpness import lost_noise, noise_share
+from tacgen.diagnose.rules import OPTICS
 from tacgen.optics.table import LookupTable
 from tacgen.presses.press_images import PressImages
 
@@ -52,23 +52,23 @@ def test_the_share_of_noise_is_that_of_filtered_white_noise(sigma_px):
 
 
 def test_a_lens_out_of_focus_is_found_with_its_width():
-    found = lost_noise(noisy_presses(0.8), noisy_presses(0.8, seed=2), table(), RULES)
+    found = lost_noise(noisy_presses(0.8), noisy_presses(0.8, seed=2), table(), OPTICS)
     # Rounding to whole grey levels is allowed for; the cut kernel costs some per cent.
     assert found.sigma_mm == pytest.approx(0.8 * 0.05, rel=0.1)
-    assert found.p_value < RULES.false_alarm
+    assert found.p_value < OPTICS.false_alarm
     assert found.gain > 10 * found.gain_stderr
 
 
 def test_sharp_pictures_are_not_called_blurred():
     for given in (noisy_presses(), noisy_presses(gain=0.85)):
-        assert lost_noise(given, noisy_presses(seed=2), table(), RULES) is None
+        assert lost_noise(given, noisy_presses(seed=2), table(), OPTICS) is None
 
 
 def test_test_presses_may_object():
-    assert lost_noise(noisy_presses(1.0), noisy_presses(seed=2), table(), RULES) is None
+    assert lost_noise(noisy_presses(1.0), noisy_presses(seed=2), table(), OPTICS) is None
 
 
 def test_no_table_or_one_without_noise_says_nothing_of_it():
     blurred = noisy_presses(1.0)
-    assert lost_noise(blurred, blurred, None, RULES) is None
-    assert lost_noise(blurred, blurred, replace(table(), noise_grey=0.0), RULES) is None
+    assert lost_noise(blurred, blurred, None, OPTICS) is None
+    assert lost_noise(blurred, blurred, replace(table(), noise_grey=0.0), OPTICS) is None

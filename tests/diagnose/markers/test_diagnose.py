@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from tacgen.cli import app
 from tacgen.contact.law import load_law
-from tacgen.diagnose.contact.marker_field import diagnose_markers
+from tacgen.diagnose.markers.diagnose import diagnose_markers
 from tests.marker_sessions import K_N, SENSOR, make_session, read_session
 
 
@@ -32,10 +32,10 @@ def test_nothing_is_sufficient(tmp_path, seed):
 def test_a_grid_that_is_turned_or_shifted(tmp_path):
     found = diagnosed(tmp_path / "both", grid_turn_deg=1.0, grid_shift_mm=(0.1, -0.05))
     assert list(found.effects) == ["grid_turned", "grid_shifted"]
-    turn, error, unit = found.effects["grid_turned"]["turn_rad"]
-    assert turn == pytest.approx(np.radians(1.0), abs=4 * error)
-    assert unit == "rad"
-    assert found.effects["grid_shifted"]["shift_y_mm"][0] == pytest.approx(-0.05, abs=0.003)
+    turn = found.effects["grid_turned"]["turn_rad"]
+    assert turn.value == pytest.approx(np.radians(1.0), abs=4 * turn.stderr)
+    assert turn.unit == "rad"
+    assert found.effects["grid_shifted"]["shift_y_mm"].value == pytest.approx(-0.05, abs=0.003)
     assert found.after_mm < 1.05 * found.data.noise_mm < 0.1 * found.before_mm
     one = diagnosed(tmp_path / "one", grid_shift_mm=(0.0, 0.05))
     assert list(one.effects) == ["grid_shifted"]
@@ -48,7 +48,7 @@ def test_a_place_with_other_friction_where_the_rest_sticks(tmp_path):
     assert list(found.effects) == ["friction_place"]
     parameters = found.effects["friction_place"]
     for name, error in (("x_mm", 0.4), ("y_mm", 0.4), ("radius_mm", 0.4), ("friction", 0.06)):
-        assert parameters[name][0] == pytest.approx(place[name], abs=error)
+        assert parameters[name].value == pytest.approx(place[name], abs=error)
     assert found.gains["friction_place"] > 0
 
 
