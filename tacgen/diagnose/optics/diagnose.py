@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.calibrate.lookup.press_fit import PressModel, learn_labels
 from tacgen.calibrate.lookup.score import check_resolution
 from tacgen.calibrate.lookup.table_fit import calibrate, camera_noise_grey
 from tacgen.core.errors import PressError
@@ -28,9 +29,10 @@ from tacgen.optics.effects import (
     optical_effect,
     optical_effects,
 )
+from tacgen.optics.effects.skirt import SKIRT
 from tacgen.optics.table import LookupTable
 from tacgen.presses.experiments import ranked
-from tacgen.presses.press_images import PressImages
+from tacgen.presses.press_images import PressImages, label_mm
 
 RESAMPLINGS = 2000  # of the test presses
 
@@ -220,7 +222,8 @@ def diagnose_optics(
         has_table=table is not None,
         grey=np.concatenate([view.pixels.grey for view in fit.views]),
     )
-    start, test_start = fit.start(whole.effects), test_fit.start(whole.effects)
+    known_effects = _effects_of(whole)
+    start, test_start = fit.start(known_effects), test_fit.start(known_effects)
     focus = lost_noise(shown, tests, table, rules)
     without: set[str] = set()
     if focus is not None:
@@ -238,6 +241,8 @@ def diagnose_optics(
             break
         without.add(weak[0])
     model = selection.chosen
+    extended = _extended(whole, model, noise, label_mm(shown))
+    after_fit = PressFit(views_of(presses, testing, [extended], rules), rules, tests.experiment)
     return OpticsDiagnosis(
         effects=(
             *([_out_of_focus(focus)] if focus else []),
@@ -249,16 +254,23 @@ def diagnose_optics(
         unexplained=dependences(fit, model),
         cannot_tell=_cannot_tell(scene, selection),
         selection=selection,
-        table=_extended(whole, model, noise),
+        table=extended,
         tests=np.nonzero(testing)[0],
         test_fit=test_fit,
         test_start=test_start,
         before=_errors(test_fit, test_start),
-        after=_errors(test_fit, on_presses(test_fit, test_start, model)),
+        after=_errors(after_fit, on_presses(after_fit, after_fit.start(known_effects), model)),
         noise_floor=noise,
         n_fit=shown.n_experiments,
         mean_grey=float(presses.images.mean()),
     )
+
+
+def _effects_of(table: LookupTable) -> dict[str, dict[str, float]]:
+    """What the table renders, and the gel's shape beside a press as it was found before."""
+    factors = table.provenance.get("press_model", {}).get("slope_factors") or ()
+    shape = {name: float(f) for name, (_, f) in zip(SKIRT.parameters, factors, strict=False)}
+    return {**table.effects, **({SKIRT.name: shape} if shape else {})}
 
 
 def on_presses(fit: PressFit, start: Model, found: Model) -> Model:
@@ -357,15 +369,24 @@ def _parameters(
     return found
 
 
-def _extended(table: LookupTable, found: Model, noise_grey: float) -> LookupTable:
+def _extended(
+    table: LookupTable, found: Model, noise_grey: float, labels_mm: FloatArray
+) -> LookupTable:
     """The table with the effects that were found, which the renderer applies.
 
     What belongs to the presses (labels, the scatter of exposures) stays out; the camera's noise is
-    theirs.
+    theirs. A gel of another shape beside a contact goes into how a press is drawn, and what the
+    labels ``labels_mm`` (N, 3) say of a place is learnt with it anew.
     """
     rendered = {effect.name for effect in optical_effects(Stage.SURFACE)}
     effects = {name: v for name, v in found.effects().items() if name in rendered}
     provenance = {**table.provenance, "diagnosed_by": f"tacgen {__version__} diagnose optics"}
+    shape = found.effects().get(SKIRT.name)
+    if shape and "press_model" in provenance:
+        drawn = PressModel.from_dict(provenance["press_model"])
+        membrane = replace(drawn.membrane, slope_factors=SKIRT.slope_factors(**shape))
+        drawn = replace(drawn, membrane=membrane, labels=learn_labels(labels_mm, found.places))
+        provenance["press_model"] = drawn.as_dict()
     return replace(
         table,
         effects=effects,
