@@ -1,5 +1,6 @@
 """A picture of an object: how it looks, and the relief that a pad meets."""
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from tacgen.core.files import atomic_path
+from tacgen.core.images import evenly
 from tacgen.core.records import GraspObject, Mesh
 from tacgen.objects.shading import depth_view, shaded_view, view_axes
 
@@ -17,7 +19,7 @@ TOPPLES = ("as in its file: it topples", 35.0, 10.0)
 
 
 def write_picture(obj: GraspObject, path: Path, toppled_from: Mesh | None = None) -> None:
-    """Write a PNG: three views of the object and the relief at three of its grasps.
+    """Write a PNG: three views of the object and the relief at up to three of its grasps.
 
     ``toppled_from`` is the surface as its file had it, if it has been rested since.
     """
@@ -33,10 +35,12 @@ def write_picture(obj: GraspObject, path: Path, toppled_from: Mesh | None = None
         )
         axis.set_title(title)
         axis.set_axis_off()
-    y_mm, z_mm = obj.grasp_ranges["y_mm"], obj.grasp_ranges["z_mm"]
-    picks = [(y_mm[len(y_mm) // 2], z) for z in (z_mm[0], z_mm[len(z_mm) // 2])]
+    places = list(itertools.product(obj.grasp_ranges["y_mm"], obj.grasp_ranges["z_mm"]))
     half_y, half_z = (side * MM_PER_PX / 2 for side in reversed(WINDOW_PX))
-    for axis, (y, z) in zip(axes[1], [*picks, (y_mm[-1], z_mm[-1])], strict=True):
+    for axis in axes[1, len(places) :]:
+        axis.set_axis_off()
+    for axis, k in zip(axes[1], evenly(len(places), 3), strict=False):
+        y, z = places[k]
         axis.imshow(relief(obj, y, z), extent=(y - half_y, y + half_y, z - half_z, z + half_z))
         axis.set(xlabel="y (mm)", ylabel="z (mm)", title=f"relief at y = {y:g}, z = {z:g} mm")
     figure.suptitle(
