@@ -1,78 +1,74 @@
-"""Arrays of other libraries, as Warp sees them, and back: without a copy, by DLPack."""
+"""Arrays of other libraries, as NumPy or Warp sees them, and back: without a copy, by DLPack."""
 
 import sys
 from typing import Any
 
 import numpy as np
-import warp as wp
+from numpy.typing import NDArray
 
 from tacgen.core.errors import SensorError
 
-
-def find_device(device: Any) -> wp.Device:
-    """The device of that name, or of torch; a ``SensorError`` if Warp does not have it."""
-    name = str(device)
-    try:
-        if not name.startswith("cuda") or wp.is_cuda_available():
-            return wp.get_device(name)
-        msg = f"device = {name!r} is not here: Warp finds no CUDA GPU; give device='cpu'"
-        raise SensorError(msg)
-    except OSError as error:
-        msg = f"Warp cannot keep what it compiles ({error}); set WARP_CACHE_PATH to another folder"
-        raise SensorError(msg) from None
-    except (ValueError, RuntimeError):
-        known = ", ".join(str(one) for one in wp.get_devices())
-        msg = f"device = {name!r} is not here (Warp sees {known}); give one of these, such as 'cpu'"
-        raise SensorError(msg) from None
+NUMBERS = ("int32", "int64", "float32", "float64")
 
 
 def kind_of(array: Any) -> str:
     """The library that an array is of: ``torch``, ``jax``, ``warp`` or ``numpy``."""
-    if isinstance(array, wp.array):
-        return "warp"
     library = type(array).__module__.partition(".")[0]
-    return {"torch": "torch", "jax": "jax", "jaxlib": "jax"}.get(library, "numpy")
+    kinds = {"torch": "torch", "jax": "jax", "jaxlib": "jax", "warp": "warp"}
+    return kinds.get(library, "numpy")
 
 
-def as_warp(
-    array: Any, name: str, shape: tuple[int, ...], device: wp.Device, dtypes: tuple[str, ...]
-) -> wp.array:
-    """A Warp array that shares the memory of an array of any library.
+def as_numpy(
+    array: Any, name: str, shape: tuple[int, ...], dtypes: tuple[str, ...]
+) -> NDArray[Any]:
+    """A NumPy array that shares the memory of an array of any library.
 
-    Raises ``SensorError`` if it is on another device, of another shape or of another type.
+    A number stands for all worlds alike. Raises ``SensorError`` if the array is on another device,
+    of another shape or of another type.
     """
     if getattr(array, "shape", None) == () and hasattr(array, "item"):
         array = array.item()
     if isinstance(array, (int, float, list, tuple)):
-        found = _from_numpy(_from_list(array, name, shape, dtypes[-1]), name).to(device)
+        found = _from_list(array, name, shape, dtypes[-1])
     elif isinstance(array, np.ndarray):
-        found = _from_numpy(array, name)
-    elif isinstance(array, wp.array):
         found = array
     elif hasattr(array, "__dlpack__"):
-        if getattr(array, "requires_grad", False):
-            array = array.detach()
         try:
-            found = wp.from_dlpack(array)
+            found = np.from_dlpack(_detached(array))
         except (TypeError, ValueError, RuntimeError, BufferError) as error:
-            msg = f"{name} cannot be read on {device} ({error}); move it there, or convert it"
+            msg = f"{name} cannot be read on cpu ({error}); move it there, or convert it"
             raise SensorError(msg) from None
     else:
         msg = f"{name} is a {type(array).__name__}; give a torch, JAX, Warp or NumPy array"
         raise SensorError(msg)
-    if found.device != device:
-        msg = f"{name} is on {found.device}, the sensor on {device}: move it there, or make another"
+    if found.dtype.kind not in "fiub":
+        msg = f"{name} is of {found.dtype}; convert it to numbers"
         raise SensorError(msg)
-    if tuple(found.shape) != shape:
-        msg = f"{name} has the shape {tuple(found.shape)}; give {shape}"
-        raise SensorError(msg)
-    if found.dtype.__name__ not in dtypes:
-        msg = f"{name} is of {found.dtype.__name__}; convert it to {' or '.join(dtypes)}"
-        raise SensorError(msg)
-    return found if found.is_contiguous else found.contiguous()
+    check(name, tuple(found.shape), found.dtype.name, shape, dtypes)
+    return np.ascontiguousarray(found, found.dtype.newbyteorder("="))
 
 
-def _from_list(values: Any, name: str, shape: tuple[int, ...], dtype: str) -> np.ndarray[Any, Any]:
+def check(
+    name: str,
+    found_shape: tuple[int, ...],
+    found_dtype: str,
+    shape: tuple[int, ...],
+    dtypes: tuple[str, ...],
+) -> None:
+    """Raise ``SensorError`` unless shape and type are what they should be."""
+    if found_shape != shape:
+        msg = f"{name} has the shape {found_shape}; give {shape}"
+        raise SensorError(msg)
+    if found_dtype not in dtypes:
+        msg = f"{name} is of {found_dtype}; convert it to {' or '.join(dtypes)}"
+        raise SensorError(msg)
+
+
+def _detached(array: Any) -> Any:
+    return array.detach() if getattr(array, "requires_grad", False) else array
+
+
+def _from_list(values: Any, name: str, shape: tuple[int, ...], dtype: str) -> NDArray[Any]:
     """A number for all worlds alike, or a list of one for each."""
     try:
         array = np.asarray(values, dtype)
@@ -85,44 +81,52 @@ def _from_list(values: Any, name: str, shape: tuple[int, ...], dtype: str) -> np
         raise SensorError(msg) from None
 
 
-def _from_numpy(array: np.ndarray[Any, Any], name: str) -> wp.array:
-    if array.dtype.kind not in "fiub":
-        msg = f"{name} is of {array.dtype}; convert it to numbers"
-        raise SensorError(msg)
-    native = np.ascontiguousarray(array, array.dtype.newbyteorder("="))
-    return wp.array(native, device="cpu", copy=False)
-
-
-def upload(values: np.ndarray[Any, Any], device: wp.Device) -> wp.array:
-    """Numbers of the host on a device."""
-    return wp.array(values, device=device)
-
-
-def on_host(array: Any) -> np.ndarray[Any, Any]:
+def on_host(array: Any) -> NDArray[Any]:
     """Numbers of any library, of any device, for NumPy."""
-    if isinstance(array, wp.array):
+    if kind_of(array) == "warp":
         return np.asarray(array.numpy())
     return np.asarray(array.cpu() if kind_of(array) == "torch" else array)
 
 
-def as_kind(array: wp.array, kind: str) -> Any:
-    """The memory of a Warp array as an array of that library."""
+def as_kind(array: NDArray[Any], kind: str) -> Any:
+    """A NumPy array as one of that library."""
     if kind == "torch":
-        return wp.to_torch(array, requires_grad=False)
+        import torch
+
+        return torch.from_numpy(array)
     if kind == "jax":
-        return wp.to_jax(array)
-    if kind == "numpy" and array.device.is_cpu:
-        return array.numpy()
+        import jax
+
+        return jax.numpy.asarray(array)
+    if kind == "warp":
+        import warp as wp
+
+        return wp.array(array, device="cpu", copy=False)
     return array
 
 
-def free_bytes(device: wp.Device) -> int:
-    """Memory that is free on a device."""
-    if device.is_cuda:
-        return int(device.free_memory)
+def free_bytes() -> int:
+    """Memory that is free on this machine."""
     if sys.platform == "linux":
         with open("/proc/meminfo", encoding="ascii") as lines:
             found = next((line for line in lines if line.startswith("MemAvailable")), "")
         if found:
             return 1024 * int(found.split()[1])
     return 1 << 62
+
+
+def check_memory(n: int, shape_px: tuple[int, int], device: str, free: int, at_work: int) -> int:
+    """How much memory is left beside the pictures of ``n`` worlds; ``at_work`` of it is needed.
+
+    Raises ``SensorError`` that says how many worlds fit.
+    """
+    each = 8 * shape_px[0] * shape_px[1] + 200
+    fit = max(0, (free - at_work) // each)
+    if n > fit:
+        msg = (
+            f"n = {n}: pictures of {shape_px[1]} × {shape_px[0]} px of so many worlds need "
+            f"{n * each / 1e9:.1f} GB, and {free / 1e9:.1f} GB are free on {device}: "
+            f"{fit} worlds fit; give n = {fit}, and more than one batch"
+        )
+        raise SensorError(msg)
+    return free - n * each

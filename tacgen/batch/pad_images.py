@@ -1,4 +1,4 @@
-"""Images of a tactile pad, many imprints at a time: of the mechanics as ever, drawn by Warp."""
+"""Images of a tactile pad, many imprints at a time: of the mechanics as ever, drawn on a GPU."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -7,8 +7,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from tacgen.batch.arrays import find_device
-from tacgen.batch.renderer import BatchRenderer, undrawable
+from tacgen.batch.warp_worlds import WarpWorlds, find_device, undrawable
 from tacgen.core.errors import SensorError
 from tacgen.optics import shade
 from tacgen.optics.noise import CameraNoise
@@ -26,7 +25,7 @@ def name_of(device: str, pad: TactilePad) -> str:
     except SensorError as error:
         msg = f"optics.{error}, or leave the key out of the recipe"
         raise SensorError(msg) from None
-    if problem := undrawable(pad.sensor, pad.table, markers=pad.draws_markers):
+    if problem := undrawable(pad.table):
         msg = f"optics.device = {device!r}: {problem}; leave the key out of the recipe"
         raise SensorError(msg)
     return f"{device} ({found.name}, Warp {wp.__version__})"
@@ -41,7 +40,7 @@ class PadImages:
     def __init__(self, pad: TactilePad, n: int, device: str) -> None:
         wp.config.log_level = wp.LOG_ERROR
         self._pad, self._noise = pad, CameraNoise(pad.table.noise_grey)
-        self._renderer = BatchRenderer(
+        self._worlds = WarpWorlds(
             *(pad.sensor, pad.table, n, find_device(device)),
             shadows=pad.casts_shadows,
             markers=pad.draws_markers,
@@ -54,8 +53,8 @@ class PadImages:
     ) -> NDArray[np.uint8]:
         """Images (T, H, W, 3); ``rng`` draws the camera's noise, as for one image after another."""
         images = np.empty((len(imprints), *self._pad.sensor.shape_px, 3), np.uint8)
-        for first in range(0, len(imprints), self._renderer.n):
-            some = imprints[first : first + self._renderer.n]
+        for first in range(0, len(imprints), self._worlds.n):
+            some = imprints[first : first + self._worlds.n]
             unique = {id(one): one for one in some}
             places = {key: k for k, key in enumerate(unique)}
             grey = self._grey(list(unique.values()))
@@ -70,13 +69,9 @@ class PadImages:
 
     def _grey(self, imprints: Sequence[Imprint]) -> NDArray[np.float32]:
         """Grey levels (n, H, W, 3) before they are rounded."""
-        drawn = self._renderer
+        drawn = self._worlds
         for whole, imprint in zip(self._depth_mm, imprints, strict=False):
             whole[...] = imprint.depth_map_mm(self._pad.sensor)
         depth_mm: Any = wp.array(self._depth_mm, device=drawn.device, copy=drawn.device.is_cuda)
-        if self._pad.draws_markers:
-            drawn.place_markers([self._pad.markers_mm(one) for one in imprints])
-        for start in drawn.parts(len(imprints)):
-            drawn.take_depth(depth_mm, start)
-            drawn.draw(moves_markers=False)
-        return np.asarray(drawn.worlds.grey.numpy())
+        markers_mm = [self._pad.markers_mm(one) for one in imprints]
+        return drawn.draw_imprints(depth_mm, len(imprints), markers_mm)

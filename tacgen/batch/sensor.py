@@ -1,9 +1,9 @@
-"""Pictures of many worlds at once, on a GPU or on the CPU.
+"""Pictures of many worlds at once: on the CPU by the pads of ``Sensor``, on a GPU by Warp.
 
-Warp (Apache-2.0, 490 MB) compiles one source for both, without a display, and shares arrays with
-torch, JAX, Newton, MuJoCo Warp and Isaac Lab. Taichi has had no release since July 2025, and its
-fork Quadrants promises no stable interface; numba-cuda compiles for CUDA alone; torch and JAX weigh
-gigabytes and have no kernels of their own for the exact solve, the meshes and the shadows.
+Warp (Apache-2.0, 490 MB) draws without a display, and shares arrays with torch, JAX, Newton, MuJoCo
+Warp and Isaac Lab. Taichi has had no release since July 2025, and its fork Quadrants promises no
+stable interface; torch and JAX weigh gigabytes and have no kernels of their own for the exact
+solve, the meshes and the shadows.
 """
 
 from __future__ import annotations
@@ -11,18 +11,21 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tacgen.contact.gap import GAP_GRAIN_MM
+from tacgen.batch.arrays import NUMBERS, kind_of, on_host
+from tacgen.batch.gels import Gels, Loads
+from tacgen.contact.gap import pose_problem
 from tacgen.contact.law import ContactLaw
 from tacgen.core.errors import ContactError, SensorError, require_extra
 from tacgen.sensor.simulated import MeshLike, Sensor, as_mesh, warn_of_metres
+from tacgen.sensor.tactile_pad import TactilePad
 
-NUMBERS = ("int32", "int64", "float32", "float64")
-FIELDS = ("rgb", "depth_mm", "contact_mask", "indentation_mm", "saturated")
+MOST_FORCE_N = 1e300  # beyond it a number is as good as infinite
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +103,6 @@ class BatchSensor:
         noise: bool = False,
         seed: int = 0,
     ) -> None:
-        require_extra("batch", "a batch of sensors needs", SensorError)
         if not isinstance(n, int | np.integer) or n < 1:
             msg = f"n = {n}: give the number of worlds, 1 or more"
             raise SensorError(msg)
@@ -109,26 +111,28 @@ class BatchSensor:
             raise SensorError(msg)
         single = Sensor(name, table, contact, shadows=shadows, markers=markers)
         self.description, self.law, self.table = single.description, single.law, single.table
-        self.n = n = int(n)
-        from tacgen.batch import arrays
-        from tacgen.batch.gels import Gels
-        from tacgen.batch.renderer import BatchRenderer
+        self.n, self._calls, self._device = int(n), 0, str(device)
+        self._gels, self._n_meshes = Gels(self.law, self.n), 0
+        drawn: dict[str, Any] = {"shadows": shadows, "markers": markers}
+        drawn_seed = int(seed) if noise and self.table.noise_grey > 0 else None
+        self._worlds: Any
+        if self._device == "cpu":
+            from tacgen.batch.threads import ThreadWorlds
 
-        self._arrays = arrays
-        self._device = arrays.find_device(device)
-        sigma = self.table.noise_grey if noise else 0.0
-        self._renderer = BatchRenderer(
-            *(self.description, self.table, n, self._device),
-            shadows=shadows,
-            markers=markers,
-            noise_grey=sigma,
-        )
-        self._seed, self._calls = int(seed), 0
-        self._gels = Gels(self.description, self.law, n, self._device, self._renderer.part)
-        self._is_depth = self.law.law == "linear_depth"
+            make_pad = partial(TactilePad, self.description, self.table, **drawn)
+            self._worlds = ThreadWorlds(make_pad, self.n, drawn_seed)
+        else:
+            require_extra("batch", f"device = {self._device!r} needs", SensorError)
+            from tacgen.batch.warp_worlds import WarpWorlds, find_device
+
+            self._worlds = WarpWorlds(
+                *(self.description, self.table, self.n, find_device(device)),
+                seed=drawn_seed,
+                **drawn,
+            )
 
     def __repr__(self) -> str:
-        return f"BatchSensor({self.description.name!r}, n={self.n}, device={str(self._device)!r})"
+        return f"BatchSensor({self.description.name!r}, n={self.n}, device={self._device!r})"
 
     def render(
         self,
@@ -163,31 +167,25 @@ class BatchSensor:
             If an array is on another device, of another shape or type, holds NaN, or a force is
             negative.
         """
-        arrays, kind = self._arrays, self._arrays.kind_of(gap_mm)
-        shape = (self.n, *self.description.shape_px)
-        gap = arrays.as_warp(gap_mm, "gap_mm", shape, self._device, ("float32",))
+        gap = self._map(gap_mm, "gap_mm")
         with self._refused_as_if_not_called():
-            self._ask(force_n, shear_n, turn, time_s, has_meshes=False)
-            for start in self._renderer.parts():
-                self._renderer.indent_gaps(gap, start, is_depth=self._is_depth)
-                self._renderer.draw(self._noise_seed())
-            return self._frame(kind)
+            loads = self._loads(force_n, shear_n, turn, time_s, has_meshes=False)
+            self._worlds.draw_gaps(gap, loads, self._calls)
+        return self._frame(kind_of(gap_mm), loads)
 
     def render_depth(self, depth_mm: Any) -> BatchFrame:
         """The frames of indentations (N, H, W) float32, in mm, that the simulation itself gives."""
-        arrays, kind = self._arrays, self._arrays.kind_of(depth_mm)
-        shape = (self.n, *self.description.shape_px)
-        depth = arrays.as_warp(depth_mm, "depth_mm", shape, self._device, ("float32",))
-        self._renderer.release_markers()
-        self._gels.slides.zero_()
-        for start in self._renderer.parts():
-            self._renderer.take_depth(depth, start)
-            self._renderer.draw(self._noise_seed())
-        return self._frame(kind)
+        self._worlds.draw_depths(self._map(depth_mm, "depth_mm"), self._calls)
+        return self._frame(kind_of(depth_mm))
 
     def add_mesh(self, mesh: MeshLike) -> int:
         """Register a mesh, in mm, in the object's own frame; returns its index."""
-        return self._renderer.add_mesh(as_mesh(mesh))
+        solid = as_mesh(mesh)
+        if not len(solid.faces):
+            msg = "the mesh has no faces: nothing can touch the gel"
+            raise ContactError(msg)
+        self._n_meshes += 1
+        return int(self._worlds.add_mesh(solid))
 
     def render_meshes(
         self,
@@ -207,34 +205,33 @@ class BatchSensor:
         along the gel's x and y, ``turn`` (N,) their moments about its normal, N·mm. The arrays
         that come out are of the kind of ``poses``. The rest is as of ``render``.
         """
-        arrays, kind = self._arrays, self._arrays.kind_of(poses)
-        if not self._renderer.n_meshes:
+        if not self._n_meshes:
             msg = "there is no mesh yet; call add_mesh first"
             raise SensorError(msg)
-        ids = arrays.as_warp(mesh_ids, "mesh_ids", (self.n,), self._device, ("int32", "int64"))
-        pose = arrays.as_warp(poses, "poses", (self.n, 4, 4), self._device, NUMBERS)
+        n, small = self.n, self._worlds.small
+        ids = small(mesh_ids, "mesh_ids", (n,), ("int32", "int64")).astype(np.int64)
+        places = small(poses, "poses", (n, 4, 4), NUMBERS).astype(np.float64)
         if not self._calls:
-            places = pose.numpy()
             farthest = np.abs(places[:, :3, 3]).max(axis=1).argmax()
             warn_of_metres(places[farthest], "poses: no object")
-        drawn = self._renderer
+        for world in np.flatnonzero((ids < 0) | (ids >= self._n_meshes))[:1]:
+            msg = f"world {world}: mesh_ids has an index that add_mesh has not returned"
+            raise ContactError(msg)
+        for world, pose in enumerate(places):
+            if problem := pose_problem(pose):
+                msg = f"world {world}: the pose {problem}"
+                raise ContactError(msg)
         with self._refused_as_if_not_called():
-            drawn.pose_meshes(ids, pose)
-            gels = self._ask(force_n, shear_n, turn, time_s)
-            for start in drawn.parts():
-                drawn.indent_meshes(start, is_depth=self._is_depth)
-                if gels is not None:
-                    drawn.shear_meshes(gels)
-                    drawn.indent_meshes(start, is_depth=self._is_depth)
-                drawn.draw(self._noise_seed())
-            return self._frame(kind)
+            loads = self._loads(force_n, shear_n, turn, time_s)
+            self._worlds.draw_meshes(ids, places, loads, self._calls)
+        return self._frame(kind_of(poses), loads)
 
     def reset(self, world_ids: Any = None) -> None:
         """Begin a new press, on a gel at rest, in some worlds; in all without ``world_ids``.
 
         They are indices, or a mask (N,) of bool.
         """
-        ids = np.arange(self.n) if world_ids is None else self._arrays.on_host(world_ids)
+        ids = np.arange(self.n) if world_ids is None else on_host(world_ids)
         if ids.dtype == bool and ids.shape == (self.n,):
             ids = np.flatnonzero(ids)
         if ids.dtype.kind not in "iu" and ids.size:
@@ -248,68 +245,48 @@ class BatchSensor:
 
     @contextmanager
     def _refused_as_if_not_called(self) -> Iterator[None]:
-        """A call that raises leaves the gels' histories, and no complaint, for the next."""
+        """A call that raises leaves the gels' histories for the next."""
         history = self._gels.history()
         try:
             yield
         except Exception:
-            self._renderer.problem()
             self._gels.take_back(history)
             raise
 
-    def _ask(
+    def _map(self, given: Any, name: str) -> Any:
+        shape = (self.n, *self.description.shape_px)
+        return self._worlds.read(given, name, shape, ("float32",))
+
+    def _loads(
         self, force_n: Any, shear_n: Any, turn: Any, time_s: Any, *, has_meshes: bool = True
-    ) -> Any:
-        """Put what the law asks of each gel on the device; the gels, where they are sheared."""
-        n, law, gels, drawn = self.n, self.law, self._gels, self._renderer
-
-        def read(given: Any, name: str, *shape: int) -> Any:
-            return self._arrays.as_warp(given, name, shape, self._device, NUMBERS)
-
-        force = read(force_n, "force_n", n)
+    ) -> Loads:
+        """What the law asks of each gel."""
+        n, small = self.n, self._worlds.small
+        force = small(force_n, "force_n", (n,), NUMBERS).astype(np.float64)
+        for world in np.flatnonzero(~((force >= 0) & (force < MOST_FORCE_N)))[:1]:
+            msg = (
+                f"world {world}: force_n is negative or not finite; give a force into the gel of "
+                "0 N or more"
+            )
+            raise ContactError(msg)
         pulls, times = np.zeros((n, 3)), None
         if shear_n is not None:
-            pulls[:, :2] = read(shear_n, "shear_n", n, 2).numpy()
+            pulls[:, :2] = small(shear_n, "shear_n", (n, 2), NUMBERS)
         if turn is not None:
-            pulls[:, 2] = read(turn, "turn", n).numpy()
+            pulls[:, 2] = small(turn, "turn", (n,), NUMBERS)
         if time_s is not None:
-            times = read(time_s, "time_s", n).numpy().astype(float)
+            times = small(time_s, "time_s", (n,), NUMBERS).astype(np.float64)
         rows = pulls if times is None else np.column_stack([pulls, times])
         if (wrong := np.flatnonzero(~np.isfinite(rows).all(axis=1))).size:
             msg = f"world {wrong[0]}: shear_n, turn or time_s is not finite"
             raise ContactError(msg)
-        is_sheared = bool(pulls.any()) or (times is not None and gels.may_be_sheared)
-        if is_sheared and not has_meshes:
+        loads = self._gels.loads(force, pulls, times)
+        if loads.is_sheared and not has_meshes:
             msg = "shear moves the object, which a gap map does not tell; give render_meshes meshes"
             raise SensorError(msg)
-        compliance = law.k_depth_mm_per_n if self._is_depth else law.k_n_mm3_per_n
-        factor = compliance.value if compliance is not None else 0.0
-        per_unit = GAP_GRAIN_MM * (1.0 if self._is_depth else self.description.pixel_area_mm2)
-        drawn.release_markers()
-        gels.at(times)
-        drawn.ask(force, factor / per_unit)
-        if gels.is_plain and not is_sheared:
-            return None
-        if problem := drawn.problem():
-            raise ContactError(problem)
-        force_on_host: Any = force.numpy().astype(float)
-        along_n: Any = pulls[:, :2]
-        if not gels.is_plain:
-            asked, along_n = gels.responses(force_on_host, along_n, times)
-            drawn.ask(self._arrays.upload(asked, self._device), 1.0 / per_unit)
-        if not is_sheared:
-            return None
-        return gels.pull(force_on_host, pulls, along_n, keeps=times is not None)
+        return loads
 
-    def _noise_seed(self) -> int:
-        return (self._seed * 0x9E3779B1 + self._calls * 0x85EBCA77) % (1 << 32)
-
-    def _frame(self, kind: str) -> BatchFrame:
-        drawn = self._renderer
-        if problem := drawn.problem():
-            raise ContactError(problem)
+    def _frame(self, kind: str, loads: Loads | None = None) -> BatchFrame:
         self._calls += 1
-        worlds = drawn.worlds
-        found = [getattr(worlds, name) for name in FIELDS] + [self._gels.slides]
-        found += [worlds.markers_mm] if worlds.n_markers else []
-        return BatchFrame(*(self._arrays.as_kind(one, kind) for one in found))
+        slides = np.zeros(self.n, bool) if loads is None else loads.slides
+        return BatchFrame(**self._worlds.frames(kind), slides=self._worlds.out(slides, kind))

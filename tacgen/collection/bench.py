@@ -10,6 +10,7 @@ import statistics
 import timeit
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,6 @@ from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe
 from tacgen.contact import gap_map, solve_indentation
-from tacgen.core.errors import SensorError, require_extra
 from tacgen.core.records import Mesh
 from tacgen.objects import load_object
 from tacgen.optics import load_table
@@ -54,22 +54,21 @@ def batch_figures(sizes: Sequence[int], device: str, repeats: int) -> Iterator[F
 
     Raises ``SensorError`` if Warp or the device is not there, or the memory does not suffice.
     """
-    require_extra("batch", "batches of sensors need", SensorError)
-    import warp as wp
-
     from tacgen.batch.sensor import BatchSensor
 
-    wp.config.log_level = wp.LOG_WARNING  # what it logs goes where the figures go
     surface, pose = _side_of_object()
     for name in ("gelsight_mini", "gelsight"):
         for n in sizes:
             batch = BatchSensor(name, n, device)
             batch.add_mesh(surface)
             one = gap_map(surface.vertices_mm, surface.faces, pose, batch.description)
-            gap_mm = wp.array(np.repeat(one[None], n, axis=0), dtype=wp.float32, device=device)
-            poses = wp.array(np.repeat(pose[None], n, axis=0), dtype=wp.float64, device=device)
-            ids = wp.zeros(n, dtype=wp.int32, device=device)
-            force_n = wp.full(n, BATCH_FORCE_N, dtype=wp.float32, device=device)
+            poses, gap_mm = np.repeat(pose[None], n, axis=0), np.repeat(one[None], n, axis=0)
+            given: list[Any] = [np.zeros(n, int), poses, np.full(n, BATCH_FORCE_N), gap_mm]
+            if device != "cpu":
+                import warp as wp
+
+                given = [wp.array(values, device=device) for values in given]
+            ids, poses, force_n, gap_mm = given
             height, width = batch.description.shape_px
             for what, frames in (
                 ("meshes", partial(batch.render_meshes, ids, poses, force_n)),

@@ -199,7 +199,7 @@ class Contact(Located):
 def _device_of(choice: str) -> str:
     """The device that ``choice`` means here: ``auto`` is a GPU, or else none, which it says."""
     if choice != "auto":
-        return choice
+        return "none" if choice == "cpu" else choice
     problem = missing_extra("batch", "it needs")
     if not problem:
         import warp as wp
@@ -225,8 +225,8 @@ class Optics(Section):
     """Add the camera's noise; ``at_load``: only when images are read, for smaller files."""
     device: Annotated[Literal["none", "auto", "cpu", "cuda"], AfterValidator(_device_of)] = "none"
     """Draw the images of a grasp at once, in Warp (the extra ``batch``), on a GPU (``cuda``), with
-    ``auto`` on a GPU where there is one, or, to try it, on the ``cpu``, which is slower than
-    ``none``. Grey levels differ by up to 1 from device to device."""
+    ``auto`` on a GPU where there is one; ``none`` and ``cpu`` draw them one by one on the CPU. Grey
+    levels differ by up to 1 between the two."""
 
 
 class Split(Section):

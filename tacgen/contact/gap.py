@@ -91,7 +91,7 @@ def _smallest_gap(
 
 @njit(cache=True, nogil=True)
 def _fill_grains(
-    depth_mm: Float64,
+    depth_mm: NDArray[Any],
     gel_mm: Float64,
     window: tuple[int, int, int, int],
     zero_mm: float,
@@ -151,6 +151,16 @@ def _is_within(columns: Float64, rows: Float64, shape_px: tuple[int, int]) -> bo
         low_y, high_y = min(low_y, rows[k]), max(high_y, rows[k])
     within_x = low_x >= 0 and high_x <= shape_px[1] - 1
     return bool(within_x and low_y >= 0 and high_y <= shape_px[0] - 1)
+
+
+def gap_of_map(gap_map_mm: NDArray[np.floating]) -> ObjectGap:
+    """The gap of a map (H, W), mm, re-zeroed at first touch; +inf where there is no object."""
+    window = (0, gap_map_mm.shape[0], 0, gap_map_mm.shape[1])
+    zero_mm, grains = float(gap_map_mm.min()), np.empty(gap_map_mm.shape, np.int32)
+    if not np.isfinite(zero_mm):
+        return ObjectGap((0, 0, 0, 0), np.empty((0, 0), np.int32), np.inf)
+    _fill_grains(gap_map_mm, np.zeros(gap_map_mm.shape), window, zero_mm, grains)
+    return ObjectGap(window, grains, zero_mm)
 
 
 class Surround:

@@ -628,10 +628,11 @@ def _csv(path: Path) -> Table:
         cells = [*map(_cell, row)]
         if cells and cells[0].startswith(COMMENT_MARKS):
             continue
-        if any(cells[len(header) :]):
-            msg = f"Expected {len(header)} fields in line {number}, saw {len(cells)}"
-            raise ValueError(msg)
-        cells = [*cells[: len(header)], *[""] * (len(header) - len(cells))]
+        if len(cells) != len(header):
+            if any(cells[len(header) :]):
+                msg = f"Expected {len(header)} fields in line {number}, saw {len(cells)}"
+                raise ValueError(msg)
+            cells = [*cells, *[""] * len(header)][: len(header)]
         if cells == names:
             is_new, headers = True, headers + 1
             title = [*filter(None, next(reversed(rows.values()), ()))]
@@ -664,6 +665,8 @@ def _csv(path: Path) -> Table:
 def _cell(text: str) -> str:
     """Empty where it states no value; what a spreadsheet writes as `="1.0"` is 1.0."""
     cell = text.strip()
+    if cell[-1:].isdigit():  # as nearly all do, and none of the others
+        return cell
     cell = cell[2:-1] if cell.startswith('="') else cell
     return "" if cell.lower() in EMPTY_CELLS else cell
 

@@ -1,6 +1,7 @@
 """What the virtual sensor's camera sees of a rig session."""
 
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +64,8 @@ def press_ball(
     points_moved = points + dilation_mm(points, patch, depth[rows, columns], sensor.pixel_area_mm2)
     load = GelLoad(volume_mm3, shear_sum_mm=shear_sum_mm)
     gel, window = GelShear(sensor), (0, sensor.height_px, 0, sensor.width_px)
-    state = gel.step(depth.astype(np.float32), window, load, 1.0, None)
+    weigh = partial(gel.pressure_share, depth.astype(np.float32), window)
+    state = gel.step(weigh, load, 1.0, None)
     if state is None:
         return BallContact(depth, center_mm, points_moved)
     dots = gel.motion_mm(state, points, load)

@@ -1,5 +1,7 @@
 """The shear of one pad's gel: from a frame's imprint and load to the field, and what it moves."""
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -32,17 +34,17 @@ def _cell_sums(
 class GelShear:
     """Lattice and field of a sensor's gel.
 
-    A cell is of ``pixels`` × ``pixels``, ``lattice_mm`` wide; the first begin ``before_px`` (rows,
-    columns) before the window.
+    Its ``shape`` is (rows, columns) of cells of ``pixels`` × ``pixels``, ``lattice_mm`` wide; the
+    first begin ``before_px`` (rows, columns) before the window.
     """
 
     def __init__(self, sensor: Sensor) -> None:
         self.pixels = max(1, round(LATTICE_MM / sensor.mm_per_px))
         # As many cells beyond the window on either side, so that the lattice is about its middle.
-        self._shape = tuple(-(-n // self.pixels) for n in sensor.shape_px)
+        self.shape = tuple(-(-n // self.pixels) for n in sensor.shape_px)
         self.before_px = tuple(
             (cells * self.pixels - n) // 2
-            for cells, n in zip(self._shape, sensor.shape_px, strict=True)
+            for cells, n in zip(self.shape, sensor.shape_px, strict=True)
         )
         self._window_px = sensor.shape_px
         self.lattice_mm = self.pixels * sensor.mm_per_px
@@ -54,7 +56,7 @@ class GelShear:
         """The lattice with a decay; None: the sensor's."""
         decay = self._decay_mm if decay_mm is None else decay_mm
         if decay not in self._fields:
-            rows, columns = self._shape
+            rows, columns = self.shape
             size = columns * self.lattice_mm, rows * self.lattice_mm
             self._fields[decay] = ShearField(
                 *size, decay, self.lattice_mm, self._markers_mm, self._pitch_mm
@@ -68,10 +70,10 @@ class GelShear:
 
     def pressure_share(self, depth_mm: NDArray[np.float32], window: Window) -> NDArray[np.float64]:
         """The part of the normal force on each cell of the lattice: that of the indentation."""
-        sums = np.zeros(self._shape)
+        sums = np.zeros(self.shape)
         top, left = window[0] + self.before_px[0], window[2] + self.before_px[1]
         _cell_sums(depth_mm, top, left, self.pixels, sums)
-        total = weighted(sums, np.ones((*self._shape, 1)))[0]
+        total = weighted(sums, np.ones((*self.shape, 1)))[0]
         return np.asarray(sums / max(total, 1e-12))
 
     def compliance_mm3_per_n(self, load: GelLoad) -> float:
@@ -80,15 +82,15 @@ class GelShear:
 
     def step(
         self,
-        depth_mm: NDArray[np.float32],
-        window: Window,
+        weigh: Callable[[], NDArray[np.float64]],
         load: GelLoad,
         share: float,
         before: ShearState | None,
     ) -> ShearState | None:
-        """The shear of a gel that is indented so; None where nothing ever pulled on it.
+        """The shear of an indented gel; None where nothing ever pulled on it.
 
-        ``share`` is the part of the load that acts in the window.
+        ``weigh`` gives its ``pressure_share``, ``share`` is the part of the load that acts in the
+        window.
         """
         k_s = load.k_s_mm_per_n or 1.0
         pulls = np.asarray(load.shear_sum_mm, np.float64) / k_s
@@ -97,7 +99,7 @@ class GelShear:
         turns = load.turn_sum_mm2 != 0.0 or any(load.pull_sum_mm)
         if not (pulls.any() or turns or before is not None):
             return None
-        field, weight = self.field(load.decay_mm), self.pressure_share(depth_mm, window)
+        field, weight = self.field(load.decay_mm), weigh()
         center_mm = weighted(weight, field.nodes_mm)
         is_part = share < 1.0 and load.center_mm is not None
         about_mm = load.center_mm if is_part and load.center_mm else center_mm
@@ -120,7 +122,7 @@ class GelShear:
         moved = self.compliance_mm3_per_n(load) * field.surface(state)
         x_mm, y_mm = np.moveaxis(field.nodes_mm - state.center_mm, -1, 0)
         spin = np.stack([x_mm * moved[..., 1] - y_mm * moved[..., 0], x_mm**2 + y_mm**2], axis=-1)
-        total = weighted(state.pressure, np.ones((*self._shape, 1)))[0]
+        total = weighted(state.pressure, np.ones((*self.shape, 1)))[0]
         turned, second = weighted(state.pressure, spin)
         shift_mm = weighted(state.pressure, moved) / max(total, 1e-12)
         return ShearMotion(shift_mm, turned / max(second, 1e-12), state.center_mm)
@@ -134,7 +136,7 @@ class GelShear:
         by_row, by_column = (
             _overlaps(n, cells, self.pixels, before, window)
             for n, cells, before, window in zip(
-                shape, self._shape, self.before_px, self._window_px, strict=True
+                shape, self.shape, self.before_px, self._window_px, strict=True
             )
         )
         return _gathered(by_row, lattice, by_column)

@@ -2,11 +2,12 @@
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.contact.gap import GAP_GRAIN_MM, GapMapper, ObjectGap
+from tacgen.contact.gap import GAP_GRAIN_MM, GapMapper, ObjectGap, gap_of_map
 from tacgen.contact.gel import gel_map_mm, gel_size_mm, pixel_centers_mm
 from tacgen.contact.indentation import solve_grains
 from tacgen.contact.shear import ShearMotion, dilation_mm, marker_grid_mm
@@ -242,6 +243,28 @@ class Indenter:
             beside_area_mm2=self.sensor.pixel_area_mm2 * self._mapper.beside_pixels,
         )
 
+    def indent_map(self, gap_map_mm: NDArray[np.floating], load: GelLoad) -> Imprint:
+        """The imprint of an object of which the gap map (H, W), mm, is known, +inf beside it."""
+        asked = load.indentation_mm if load.volume_mm3 is None else load.volume_mm3
+        gap = gap_of_map(gap_map_mm)
+        if not asked or asked <= 0 or not gap.touches:
+            return Imprint()
+        delta, deepest = self._delta(gap, _NONE, load)
+        return self._imprint_at(gap, delta, saturated=delta >= deepest)
+
+    def known(self, depth_map_mm: NDArray[np.float32]) -> Imprint:
+        """The imprint of an indentation (H, W), mm, that is known."""
+        touched = depth_map_mm > 0.0
+        if not touched.any():
+            return Imprint()
+        rows, columns = np.flatnonzero(touched.any(axis=1)), np.flatnonzero(touched.any(axis=0))
+        top, left = int(rows[0]), int(columns[0])
+        window = top, int(rows[-1]) + 1, left, int(columns[-1]) + 1
+        depth_mm = np.maximum(depth_map_mm[top : window[1], left : window[3]], 0.0)
+        deepest_mm, area_mm2 = float(depth_mm.max()), self.sensor.pixel_area_mm2
+        is_through = deepest_mm >= self.sensor.gel_depth_mm
+        return Imprint(deepest_mm, is_through, window, depth_mm, area_mm2)
+
     def _delta(
         self, gap: ObjectGap, beside: NDArray[np.int32], load: GelLoad
     ) -> tuple[float, float]:
@@ -381,7 +404,8 @@ class TactilePad:
         if imprint.indentation_mm <= 0 or not imprint.depth_mm.size:
             return imprint
         last = None if before is None else before.shear
-        shear = self._shear.step(imprint.depth_mm, imprint.window, load, imprint.share, last)
+        weigh = partial(self._shear.pressure_share, imprint.depth_mm, imprint.window)
+        shear = self._shear.step(weigh, load, imprint.share, last)
         return replace(imprint, shear=shear, load=load)
 
     def image(

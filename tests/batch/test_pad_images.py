@@ -5,12 +5,12 @@ import pytest
 import trimesh
 import yaml
 
-import tacgen
+from tacgen.collection.grid import plan_recipe
+from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe
 from tacgen.collection.run import prepare
 from tacgen.core.errors import DatasetError, SensorError
 from tacgen.dataset import DatasetFolder
-from tacgen.dataset.summary import summarize, summary_text
 from tacgen.optics import load_table
 from tacgen.sensor.description import load_sensor
 from tacgen.sensor.gel_response import GelLoad
@@ -39,7 +39,7 @@ def test_images_are_those_of_the_pad(drawn):
     sensor = load_sensor("gelsight_mini")
     pad = TactilePad(sensor, load_table(sensor.table), **drawn)
     imprints = imprints_of(pad)
-    on_device = PadImages(pad, 4, "cpu")  # in two batches
+    on_device = PadImages(pad, 4, "warp:cpu")  # in two batches
     for seed in (None, 5):
         rngs = [None if seed is None else np.random.default_rng(seed) for _ in range(2)]
         expected = np.stack([pad.image(one, rng=rngs[0]) for one in imprints]).astype(int)
@@ -56,7 +56,8 @@ def recipe_of(**optics):
 
 def test_a_device_is_part_of_the_recipe():
     assert recipe_of(device="none").sha256() == recipe_of().sha256()
-    assert recipe_of(device="cpu").sha256() != recipe_of().sha256()
+    assert recipe_of(device="cpu").sha256() == recipe_of().sha256()
+    assert recipe_of(device="cuda").sha256() != recipe_of().sha256()
 
 
 def test_without_a_gpu_auto_is_none_and_says_so(monkeypatch, capsys):
@@ -70,8 +71,8 @@ def test_without_a_gpu_auto_is_none_and_says_so(monkeypatch, capsys):
 
 def test_warp_is_not_there(monkeypatch, tmp_path):
     monkeypatch.setattr("tacgen.core.errors.find_spec", lambda name: None)
-    with pytest.raises(SensorError, match=r"optics.device = 'cpu' needs warp, not installed"):
-        prepare(recipe_of(device="cpu"), tmp_path / "data")
+    with pytest.raises(SensorError, match=r"optics.device = 'cuda' needs warp, not installed"):
+        prepare(recipe_of(device="cuda"), tmp_path / "data")
     assert not (tmp_path / "data").exists()
 
 
@@ -84,41 +85,40 @@ def test_a_device_that_is_not_here(tmp_path):
         prepare(recipe_of(device="cuda"), tmp_path / "data")
 
 
-def test_a_dataset_names_what_drew_its_images(monkeypatch, tmp_path):
-    pytest.importorskip("warp")
-    prepare(recipe_of(device="cpu"), tmp_path)
+@pytest.fixture
+def gpu(monkeypatch):
+    """Warp's own CPU in place of a GPU."""
+    warp = pytest.importorskip("warp")
+    monkeypatch.setattr("tacgen.batch.pad_images.find_device", lambda _: warp.get_device("cpu"))
+
+
+def test_a_dataset_names_what_drew_its_images(monkeypatch, gpu, tmp_path):
+    prepare(recipe_of(device="cuda"), tmp_path)
     plan = DatasetFolder(tmp_path).plan()
-    assert plan["device"].startswith("cpu (")
-    assert yaml.safe_load((tmp_path / "recipe.yaml").read_text())["optics"]["device"] == "cpu"
-    prepare(recipe_of(device="cpu"), tmp_path)
-    with pytest.raises(DatasetError, match='optics.device: "cpu" there, "none" now'):
+    assert plan["device"].startswith("cuda (")
+    assert yaml.safe_load((tmp_path / "recipe.yaml").read_text())["optics"]["device"] == "cuda"
+    prepare(recipe_of(device="cuda"), tmp_path)
+    with pytest.raises(DatasetError, match='optics.device: "cuda" there, "none" now'):
         prepare(recipe_of(), tmp_path)
-    monkeypatch.setattr("tacgen.batch.pad_images.name_of", lambda device, pad: "cpu (other)")
+    monkeypatch.setattr("tacgen.batch.pad_images.name_of", lambda device, pad: "cuda (other)")
     with pytest.raises(
-        DatasetError, match=r"device: images drawn on cpu \(.*\) there, on cpu \(ot"
+        DatasetError, match=r"device: images drawn on cuda \(.*\) there, on cuda \(ot"
     ):
-        prepare(recipe_of(device="cpu"), tmp_path)
+        prepare(recipe_of(device="cuda"), tmp_path)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["pybullet", "mujoco"])
-def test_a_dataset_differs_in_its_images_by_a_grey_level(engine, tmp_path):
-    pytest.importorskip("warp")
+def test_a_grasp_differs_in_its_images_by_a_grey_level(engine, gpu):
     pytest.importorskip(engine)
-    found = {}
-    for device in ("none", "cpu"):
-        grid = {"force_n": [5.0], "x_mm": [0.0], "y_mm": [0.0], "z_mm": [60.0]}
-        sections = {"objects": ["sugar_box"], "grid": grid, "physics": {"engine": engine},
-                    "frames": {"mode": "sequence", "count": 3}, "sensor": "gelsight_mini",
-                    "dataset": {"markers": True, "depth": "all", "scene_pictures": False},
-                    "optics": {"device": device}}  # fmt: skip
-        out = tmp_path / device
-        tacgen.collect(Recipe.model_validate({"name": "drawn", **sections}), out, progress=False)
-        (line,) = DatasetFolder(out).manifest().values()
-        assert line.device.partition(" ")[0] == ("cpu" if device == "cpu" else "")
-        assert ("device" in line.inputs) == (device == "cpu")
-        assert ("images on cpu" in summary_text(summarize(out))) == (device == "cpu")
-        found[device] = tacgen.Dataset(out)[0]
-    plain, drawn = found["none"], found["cpu"]
-    assert np.abs(plain.pop("rgb").astype(int) - drawn.pop("rgb")).max() <= 1
-    assert all(np.array_equal(value, drawn[name]) for name, value in plain.items())
+    grid = {"force_n": [5.0], "x_mm": [0.0], "y_mm": [0.0], "z_mm": [60.0]}
+    sections = {"objects": ["sugar_box"], "grid": grid, "physics": {"engine": engine},
+                "frames": {"mode": "sequence", "count": 3}, "sensor": "gelsight_mini"}  # fmt: skip
+    recipe, found = Recipe.model_validate({"name": "drawn", **sections}), []
+    for device in ("none", "cuda"):
+        with GraspPipeline(recipe, device) as pipeline:
+            found.append(pipeline.sample(plan_recipe(recipe)[0]))
+    plain, drawn = (one.pads["left"] for one in found)
+    assert np.abs(plain.rgb.astype(int) - drawn.rgb).max() <= 1
+    assert np.array_equal(plain.force_normal_n, drawn.force_normal_n)
+    assert found[0].label == found[1].label

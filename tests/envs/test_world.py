@@ -137,14 +137,14 @@ def test_images_are_drawn_on_the_recipes_device(monkeypatch):
 
     class Grey:
         def __init__(self, pad, n, device):
-            assert device == "cpu"
+            assert device == "cuda"
             self.shape = *pad.sensor.shape_px, 3
 
         def images(self, imprints, rng=None):
             return np.full((len(imprints), *self.shape), 77, np.uint8)
 
     monkeypatch.setattr(pad_images, "PadImages", Grey)
-    world = GraspWorld(small_recipe(optics={"device": "cpu"}, randomize={}))
+    world = GraspWorld(small_recipe(optics={"device": "cuda"}, randomize={}))
     world.place(world.plan[10])
     touch = world.grasp_and_lift(grasp_values(world.plan[10]))
     world.close()

@@ -7,6 +7,7 @@ import numpy as np
 import trimesh
 
 import tacgen
+from tacgen.batch.arrays import on_host
 from tacgen.core.errors import ContactError
 
 SAME_PLACE_PX = 1e-3  # of a marker: by so much its edge changes by less than a grey level
@@ -47,17 +48,19 @@ def compare(
     **options: Any,
 ) -> Difference:
     """The difference between a batch of frames and the same ones of ``Sensor``."""
-    import warp as wp
-
     sensor = tacgen.Sensor(name, **options)
     batch = tacgen.BatchSensor(name, len(frames), device, **options)
     for mesh in meshes:
         batch.add_mesh(mesh)
     given = [np.array(one) for one in zip(*frames, strict=True)]
     given += [one for one in (shear_n, turn) if one is not None]
-    out = batch.render_meshes(*(wp.array(one, device=device) for one in given))
+    if device.startswith("cuda"):
+        import warp as wp
+
+        given = [wp.array(one, device=device) for one in given]
+    out = batch.render_meshes(*given)
     rgb, mask, delta_mm, saturated = (
-        one.numpy() for one in (out.rgb, out.contact_mask, out.indentation_mm, out.saturated)
+        on_host(one) for one in (out.rgb, out.contact_mask, out.indentation_mm, out.saturated)
     )
     shear_n = np.zeros((len(frames), 2)) if shear_n is None else shear_n
     turn = np.zeros(len(frames)) if turn is None else turn
@@ -74,7 +77,7 @@ def compare(
         is_same = np.array_equal(frame.contact_mask, mask[k])
         if frame.markers_px is not None:
             height, width = sensor.description.shape_px
-            places_px = out.markers_mm.numpy()[k] / sensor.description.mm_per_px
+            places_px = on_host(out.markers_mm)[k] / sensor.description.mm_per_px
             off_px = frame.markers_px - places_px - (width / 2 - 0.5, height / 2 - 0.5)
             is_same &= bool(np.abs(off_px).max() < SAME_PLACE_PX)
         if not (is_same and frame.saturated == saturated[k]):

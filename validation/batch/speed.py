@@ -1,7 +1,8 @@
 """CPU seconds of a batch against those of one sensor: ``python -m validation.batch.speed``.
 
-64 worlds on one thread, drawn in turn by ``BatchSensor.render_meshes`` and by 64 calls of
-``Sensor.render``, from the same meshes; then from gap maps. Medians of the ratios of the pairs.
+64 worlds, drawn in turn by ``BatchSensor.render_meshes``, on all cores, and by 64 calls of
+``Sensor.render``, from the same meshes; then from gap maps. Seconds of all
+threads together; medians of the ratios of the pairs.
 """
 
 import statistics

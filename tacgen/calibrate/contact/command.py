@@ -9,6 +9,7 @@ import numpy as np
 
 from tacgen.calibrate.contact.law_fit import ContactFit, fit_contact, summary_dict, summary_text
 from tacgen.calibrate.contact.marker_fit import FieldFit, field_data, fit_field, load_tracks
+from tacgen.calibrate.contact.rules import RULES
 from tacgen.calibrate.lookup.table_fit import fit_lookup
 from tacgen.contact.law import ContactLaw, save_law
 from tacgen.core.errors import PressError
@@ -19,10 +20,6 @@ from tacgen.presses.press_folder import WITH_FORCES, read_press_folder, read_pre
 from tacgen.presses.press_forces import MeasuredLog, measure_presses
 from tacgen.presses.press_log import PLAIN, PressLog, press_log_of
 from tacgen.presses.screening import usable_presses
-
-MIN_FOR_OWN_TABLE, MIN_PRESSES_FOR_OWN_TABLE = 10, 6
-"""Pictures, and presses that they are of, that a table has to be fitted to before volumes by it are
-better than by the circle."""
 
 CONTACT_POINTS = {"auto": None, "free": True, "fixed": False}
 
@@ -143,8 +140,8 @@ def _measure_images(folder: Path, table: Path | None, log: Path) -> tuple[Path, 
     own = None
     if lookup is None:
         with contextlib.suppress(PressError):  # too few balls of known radius
-            presses = usable_presses(read_presses(folder), least=MIN_PRESSES_FOR_OWN_TABLE)
-            own = fit_lookup(presses) if len(presses) >= MIN_FOR_OWN_TABLE else None
+            presses = usable_presses(read_presses(folder), least=RULES.min_presses_for_own_table)
+            own = fit_lookup(presses) if len(presses) >= RULES.min_pictures_for_own_table else None
     found = measure_presses(images, lookup or own)
     if own is not None:
         warning = (

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from tacgen.calibrate.contact.align import ContactPoint, align, limits_of, without_zero
+from tacgen.calibrate.contact.rules import RULES
 from tacgen.calibrate.contact.slope_fit import SlopeFit, fit_slope
 from tacgen.contact.law import PLAIN_UNITS, ContactLaw
 from tacgen.contact.noise import sample_noise
@@ -23,18 +24,7 @@ from tacgen.presses.press_log import SHEAR_FORCES, SHEAR_MOTIONS, PressLog
 from tacgen.report.formatting import p_value, percent, unit_text
 from tacgen.report.page import templates
 
-MIN_TRIALS = 3  # two presses give no scatter to tell an outlier by; a depth's course also tells
-STRUCTURE_FACTOR = 1.5  # held-out errors this many times a sample's own noise are no noise
-
-MAX_FOLDS = 20  # limits the time of cross-validation over presses
-MIN_SAMPLES_FOR_NOISE = 10
-"""In shorter presses neighbouring samples are too far apart to show a sample's own noise."""
-BLOCKS_OF_A_TRIAL = 8
-"""Parts into which a group of one single trial is cut, as its samples are not independent."""
-
 SYMBOLS = {"normal": "k_n", "shear": "k_s"}
-DISAGREEMENT_P = 0.01  # Welch's p below which groups differ, in the sentence and the warning
-MAX_GROUPS_SHOWN = 12  # groups that a terminal's text lists; the page has all
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,10 +110,10 @@ def fit_contact(
 
     Source: Si et al. 2022, arXiv 2208.02885, Eq. 1.
     """
-    if len(log.trials) < MIN_TRIALS and "depth_mm" not in log:
+    if len(log.trials) < RULES.min_trials and "depth_mm" not in log:
         left_out = [str(trial) for trial in log.dropped]
         msg = (
-            f"{log.path}: {len(log.trials)} usable presses, fewer than {MIN_TRIALS}: no "
+            f"{log.path}: {len(log.trials)} usable presses, fewer than {RULES.min_trials}: no "
             "interval and no held-out error can be given; press more often, number each press in "
             "`trial`"
         )
@@ -137,7 +127,7 @@ def fit_contact(
     shear = None
     if (
         sheared is not None
-        and len(sheared.trials) >= MIN_TRIALS
+        and len(sheared.trials) >= RULES.min_trials
         and all(np.abs(values).max() > 0 for values in channel_arrays(sheared, "shear"))
     ):
         shear = fit_channel(sheared, "shear", by)
@@ -239,7 +229,7 @@ def _parts(load: FloatArray, trial: IntArray) -> IntArray:
     if len(np.unique(trial)) > 1:
         return trial
     power = np.cumsum((load**2).sum(axis=1))
-    blocks = np.minimum(power * BLOCKS_OF_A_TRIAL // power[-1], BLOCKS_OF_A_TRIAL - 1)
+    blocks = np.minimum(power * RULES.parts_of_a_trial // power[-1], RULES.parts_of_a_trial - 1)
     return np.asarray(blocks, dtype=np.int64)
 
 
@@ -247,7 +237,7 @@ def _held_out(load: FloatArray, response: FloatArray, trial: IntArray, unit: str
     """Every trial, or part of a single one, predicted by a fit to the other folds'."""
     parts = _parts(load, trial)
     numbers, first, index = np.unique(parts, return_index=True, return_inverse=True)
-    folds = min(len(numbers), MAX_FOLDS)
+    folds = min(len(numbers), RULES.max_folds)
     fold = np.argsort(np.argsort(first))[index] % folds  # in the order of pressing
     error = np.empty_like(response)
     for k_th in range(folds):
@@ -264,7 +254,7 @@ def _held_out(load: FloatArray, response: FloatArray, trial: IntArray, unit: str
 def _own_noise(residual: FloatArray, trial: IntArray) -> float:
     """Noise of a sample, of one component, where presses are long enough to tell it."""
     _, index, counts = np.unique(trial, return_inverse=True, return_counts=True)
-    kept = counts[index] >= MIN_SAMPLES_FOR_NOISE
+    kept = counts[index] >= RULES.min_samples_for_noise
     starts = np.flatnonzero(np.diff(trial[kept], prepend=np.nan, append=np.nan) != 0)
     return sample_noise(residual[kept], starts)
 
@@ -288,14 +278,14 @@ def _warnings(fit: ContactFit) -> tuple[str, ...]:
     texts = [*fit.log.warnings, *(str(trial) for trial in fit.log.dropped)]
     for channel in fit.channels:
         agreement = channel.agreement
-        if agreement is not None and agreement.p_value < DISAGREEMENT_P:
+        if agreement is not None and agreement.p_value < RULES.disagreement_p:
             texts.append(
                 f"{fit.log.path}: {channel.channel}: k differs between values of {channel.by!r} "
                 f"(p = {agreement.p_value:.2g}, spread {100 * agreement.spread:.1f} %): the pooled "
                 "k averages presses that differ; `tacgen diagnose contact` looks for the cause"
             )
         held_out, unit = channel.held_out.rmse, unit_text(channel.held_out.unit)
-        if held_out > STRUCTURE_FACTOR * channel.noise > 0:
+        if held_out > RULES.structure_factor * channel.noise > 0:
             texts.append(
                 f"{fit.log.path}: {channel.channel}: the linear law is off by {held_out:.3g} "
                 f"{unit} on held-out presses, samples jitter by {channel.noise:.3g} {unit}: an "
@@ -361,7 +351,7 @@ def summary_text(result: Mapping[str, Any]) -> str:
     return template.render(
         result=result,
         symbols=SYMBOLS,
-        most_groups=MAX_GROUPS_SHOWN,
+        most_groups=RULES.max_groups_shown,
         half_width=half_width,
         agreement_text=agreement_text,
     ).rstrip()
@@ -377,7 +367,7 @@ def agreement_text(name: str, channel: Mapping[str, Any]) -> str:
     symbol, by, agreement = SYMBOLS[name], channel["by"], channel["agreement"]
     if agreement is None:
         return f"whether {symbol} depends on {by} is unknown: only one group has an error"
-    verdict = "agree on" if agreement["p_value"] >= DISAGREEMENT_P else "do not agree on"
+    verdict = "agree on" if agreement["p_value"] >= RULES.disagreement_p else "do not agree on"
     return (
         f"the values of {by} {verdict} one {symbol} (Welch p = {p_value(agreement['p_value'])}, "
         f"largest difference {percent(agreement['spread'], 2)})"

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
+from tacgen.calibrate.contact.rules import FIELD
 from tacgen.contact.noise import noise_of, second_differences
 from tacgen.core.errors import PressError
 from tacgen.core.records import Estimate, Sensor
@@ -32,19 +33,6 @@ from tacgen.presses.press_log import PressLog
 from tacgen.report.figures import arrows
 from tacgen.sensor.description import load_sensor
 
-MOST_FRAMES = 16
-"""Of a press that are fitted, from loading over the largest shear back to none: with half of them
-the steps of the load between are so coarse that μ comes out a few per cent wrong."""
-LEAST_PRESSES = 4  # with shear: fewer leave no scatter to give intervals by
-START_DECAY_MM = 1.5
-START_SLIPS = (0.6, 1.2, 2.4, 5.0)  # 1/μ from which the fit starts, the best of them
-FIRST_SLIP = 25.0  # times STEP, 1/μ at which a rim slips that is seen
-STEP = 0.02  # of a parameter, by which its derivative is taken: the slip's rim goes node by node
-FIELD_TOLERANCE = 1e-4  # of the motion, of which a step of a parameter changes some 1e-2
-FRAMES_FOR_AXES = 4  # of a press, that tell in which axes its tracks are written
-ARROWS = 3  # presses that are drawn: the worst explained, the median and the best
-TOLERANCE = 2e-3  # of the parameters, far below any interval
-MOST_STEPS = 10
 PLACE_NAMES = ("place_x", "place_y", "place_radius", "place_slip")
 BOUNDS = {
     "decay": (0.3, 8.0),  # of gels 2 to 10 mm thick
@@ -55,25 +43,6 @@ BOUNDS = {
     "place_slip": (0.0, 30.0),
 }
 """Of the parameters that are not linear; lengths in mm."""
-
-
-@dataclass(frozen=True, slots=True)
-class FieldRules:
-    """When a fit of the field is refused."""
-
-    clear: float = 0.5
-    """Share of the squared motion, noise left out, that is explained: below it, or where the gel
-    would move against the force, the tracks are tried in other axes. On the virtual rig it is 0.98
-    for decays of 0.8 to 3 mm, in other axes at most 0.3."""
-    other_axes: float = 0.5
-    """Times the squared error as written: what other axes leave at most where they are right."""
-    least: float = 0.2
-    """The share that is explained at least: unrelated motions are by 0.1."""
-    contradiction: float = 0.25
-    """Of the log's own k_s, where intervals differ too: on the virtual rig they agree to 0.03."""
-
-
-DEFAULT_RULES = FieldRules()
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +68,7 @@ class PressFrames:
 class Slip:
     """The parameters of the field that are not linear."""
 
-    decay_mm: float = START_DECAY_MM
+    decay_mm: float = FIELD.start_decay_mm
     per_friction: float = 0.0
     place: Place | None = None
 
@@ -128,14 +97,14 @@ class FieldData:
             place = place if away < place.radius_mm + press.patch_mm else None
         key = (index, grip.decay_mm, grip.per_friction, place)
         if key not in self._known:
-            if len(self._known) > MOST_KNOWN:
+            if len(self._known) > FIELD.most_known:
                 self._known.clear()
                 self._gels.clear()
             if grip.decay_mm not in self._gels:
                 self._gels[grip.decay_mm] = BallShear(self.sensor, grip.decay_mm)
             self._known[key] = self._gels[grip.decay_mm].strain(
                 np.where(np.isfinite(self.tracks.rest_mm), self.tracks.rest_mm, 0.0),
-                *(press.pressure, press.force_n, grip.friction, place, FIELD_TOLERANCE),
+                *(press.pressure, press.force_n, grip.friction, place, FIELD.field_tolerance),
             )
         return self._known[key]
 
@@ -171,9 +140,6 @@ class FieldData:
         return np.array([(self.residual(index, grip, linear) ** 2).sum() for index in which])
 
 
-MOST_KNOWN = 6000  # strains that are kept: some 80 MB of them
-
-
 def load_tracks(markers: Path, sensor: str | None, log: PressLog) -> tuple[Sensor, MarkerTracks]:
     """The sensor of that name, and the tracks of a ``markers.csv`` or a folder of pictures.
 
@@ -192,13 +158,12 @@ def field_data(
     tracks: MarkerTracks,
     sensor: Sensor,
     k_n_mm3_per_n: float,
-    most_frames: int = MOST_FRAMES,
-    rules: FieldRules = DEFAULT_RULES,
+    most_frames: int = FIELD.most_frames,
 ) -> FieldData:
     """The presses that shear the gel, with a few frames of each; ``k_n`` gives the contact's size.
 
-    Raises ``PressError`` with fewer than ``LEAST_PRESSES`` of them, or where the tracks are written
-    in other axes than the gel's.
+    Raises ``PressError`` with fewer than ``FIELD.least_presses`` of them, or where the tracks are
+    written in other axes than the gel's.
     """
     data = _press_frames(tracks, sensor, k_n_mm3_per_n, most_frames)
 
@@ -207,15 +172,15 @@ def field_data(
         return (float(linear[0]), *one.explained(Slip(), linear))
 
     compliance, share, left = tried(data)
-    if share >= rules.clear and compliance > 0:
+    if share >= FIELD.clear and compliance > 0:
         return data
     found = {}
     for axes, matrix in AXES.items():
         places, rest = (one @ np.transpose(matrix) for one in (tracks.places_mm, tracks.rest_mm))
         other = replace(tracks, places_mm=places, rest_mm=rest)
-        found[axes] = tried(_press_frames(other, sensor, k_n_mm3_per_n, FRAMES_FOR_AXES))
+        found[axes] = tried(_press_frames(other, sensor, k_n_mm3_per_n, FIELD.frames_for_axes))
     axes = min(found, key=lambda one: found[one][2])
-    if found[axes][0] > 0 and found[axes][2] < rules.other_axes * left:
+    if found[axes][0] > 0 and found[axes][2] < FIELD.other_axes * left:
         msg = (
             f"{tracks.path}: the shear field explains {max(share, 0.0):.0%} of the dots' motion as "
             f"it is written, {found[axes][1]:.0%} where {axes}"
@@ -227,7 +192,7 @@ def field_data(
 def _press_frames(
     tracks: MarkerTracks, sensor: Sensor, k_n_mm3_per_n: float, most_frames: int
 ) -> FieldData:
-    gel = BallShear(sensor, START_DECAY_MM)
+    gel = BallShear(sensor, FIELD.start_decay_mm)
     rest = np.where(np.isfinite(tracks.rest_mm), tracks.rest_mm, 0.0)
     presses, squares = [], []
     for number in np.unique(tracks.press):
@@ -266,10 +231,10 @@ def _press_frames(
                 rows[chosen],
             )
         )
-    if len(presses) < LEAST_PRESSES:
+    if len(presses) < FIELD.least_presses:
         msg = (
             f"{tracks.path}: {len(presses)} presses with shear force, the ball's radius and the "
-            f"contact's place; the shear field needs {LEAST_PRESSES}"
+            f"contact's place; the shear field needs {FIELD.least_presses}"
         )
         raise PressError(msg)
     return FieldData(sensor, tracks, tuple(presses), noise_of(np.concatenate(squares)))
@@ -305,7 +270,8 @@ def fit_slip(data: FieldData, which: Sequence[int], start: Slip, names: Sequence
         return np.concatenate([data.residual(one, grip, linear) for one in which])
 
     if "grip" in names and not start.per_friction:
-        starts = [np.where(np.array(names) == "grip", one, first) for one in (0.0, *START_SLIPS)]
+        is_grip, slips = np.array(names) == "grip", (0.0, *FIELD.start_slips)
+        starts = [np.where(is_grip, one, first) for one in slips]
         first = min(starts, key=lambda x: float((off(x) ** 2).sum()))
         if first is starts[0]:
             return of(first)
@@ -320,10 +286,10 @@ def fit_slip(data: FieldData, which: Sequence[int], start: Slip, names: Sequence
         np.ones(len(first)),
         bounds=(1.0 + (low - first) / scale - 1e-9, 1.0 + (high - first) / scale + 1e-9),
         x_scale=0.3,
-        diff_step=STEP,
-        xtol=TOLERANCE,
+        diff_step=FIELD.step,
+        xtol=FIELD.tolerance,
         ftol=1e-4,
-        max_nfev=MOST_STEPS,
+        max_nfev=FIELD.most_steps,
     )
     return of(at(found.x))
 
@@ -377,9 +343,7 @@ class FieldFit:
         )
 
 
-def fit_field(
-    data: FieldData, log_k_s: Estimate | None = None, rules: FieldRules = DEFAULT_RULES
-) -> FieldFit:
+def fit_field(data: FieldData, log_k_s: Estimate | None = None) -> FieldFit:
     """Fit the field to all presses, with intervals by the scatter between them.
 
     Raises ``PressError`` where it explains nothing, or contradicts the k_s of the log's own sums.
@@ -410,12 +374,12 @@ def fit_field(
         n_presses=len(data.presses),
     )
     k_s, wrong = found.k_s, ""
-    if share < rules.least:
+    if share < FIELD.least:
         wrong = f"it explains {max(share, 0.0):.0%} of the dots' motion"
     elif k_s.value <= 1.96 * k_s.stderr:
         wrong = "the interval of k_s holds 0"
     elif log_k_s is not None and abs(k_s.value - log_k_s.value) > max(
-        rules.contradiction * log_k_s.value, 1.96 * (k_s.stderr + log_k_s.stderr)
+        FIELD.contradiction * log_k_s.value, 1.96 * (k_s.stderr + log_k_s.stderr)
     ):
         wrong = f"the log's own shear_x_mm and shear_y_mm give {log_k_s.value:.4g}"
     if wrong:
@@ -442,7 +406,7 @@ def refined(
     which = range(len(data.presses))
     linear = data.linear(grip, which)
     x0 = np.array([_get(grip, name) for name in names])
-    steps = STEP * _scales(names, x0)
+    steps = FIELD.step * _scales(names, x0)
     bread, scores = np.zeros((2 + len(names),) * 2), []
     for index in which:
         columns, motion = data.rows(index, grip)
@@ -474,7 +438,7 @@ def refined(
 
 def _scales(names: Sequence[str], x: FloatArray) -> FloatArray:
     """How far parameters go at once: of slips their share, of lengths a multiple of a cell."""
-    least = np.where((np.array(names) == "grip") & (x == 0.0), FIRST_SLIP, 0.5)
+    least = np.where((np.array(names) == "grip") & (x == 0.0), FIELD.first_slip_steps, 0.5)
     lengths = [5.0 if name in PLACE_NAMES[:3] else 0.0 for name in names]
     return np.maximum(np.maximum(np.abs(x), least), lengths)
 
@@ -506,7 +470,8 @@ def arrow_figure(
     every = range(len(data.presses))
     ranked = np.argsort([-(data.residual(one, grip, linear) ** 2).mean() for one in every])
     rows = []
-    for index in ranked[np.unique(np.linspace(0, len(ranked) - 1, ARROWS).round().astype(int))]:
+    drawn = np.linspace(0, len(ranked) - 1, FIELD.arrows).round().astype(int)
+    for index in ranked[np.unique(drawn)]:
         press = data.presses[index]
         top = int(np.hypot(*press.force_n.T).argmax())
         model = linear[0] * data.strain(int(index), grip)[top] + linear[1] * press.dilation_mm[top]

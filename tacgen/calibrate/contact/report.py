@@ -16,12 +16,12 @@ from tacgen.calibrate.contact.law_fit import (
     summary_dict,
 )
 from tacgen.calibrate.contact.marker_fit import FieldData, FieldFit, arrow_figure
+from tacgen.calibrate.contact.rules import RULES
 from tacgen.presses.press_log import PressLog
 from tacgen.report import figures as plots
 from tacgen.report.formatting import percent, unit_text, with_error
 from tacgen.report.page import write_page
 
-MAX_WORST = 8  # presses in the table of the largest held-out errors
 RESPONSES = {"normal": "V", "shear": "D"}
 
 
@@ -41,7 +41,7 @@ def write_report(
         worst[name] = [
             (trial, int(log.rows[log["trial"] == int(trial)][0]), error)
             for trial, error in sorted(held["by_trial"].items(), key=lambda item: -item[1])
-        ][:MAX_WORST]
+        ][: RULES.max_worst]
         value = with_error(pooled["value"], half_width(pooled), channel["unit"])
         error = percent(held["nrmse"], 2)
         verdicts.append(f"{SYMBOLS[name]} = {value} (95 %), error on held-out presses {error}")

@@ -16,23 +16,9 @@ from typing import Any
 import numpy as np
 from scipy.special import stdtrit
 
+from tacgen.calibrate.contact.rules import RULES
 from tacgen.core.types import BoolArray, FloatArray, IntArray
 
-TUKEY = 4.685  # 95 % efficiency at normal noise (Holland & Welsch 1977)
-MAX_ITERATIONS = 100  # of reweighting; it ends earlier where it has converged
-TOLERANCE = 1e-9  # relative; far below any standard error
-SCALE_ITERATIONS = 5
-"""The residuals' scale is settled by then; a median that flickers would never let it end."""
-LOADED_SHARE = 0.1
-"""Samples below this share of the largest load tell little about the slope or its noise."""
-MIN_REMAINING_LEVERAGE = 0.1
-"""Least leverage left to a press: its part of the scatter is enlarged by no more than tenfold."""
-MIN_RELEVANCE = 0.8
-"""Neighbours that explain less of the load's square than this are no instrument for it."""
-MAX_OUTLYING_SHARE = 0.2
-"""More presses than this that stick out are no outliers but how much presses differ."""
-WIDENINGS = (1.0, 1.7, 3.0, 5.0, 10.0, 30.0, 1e3)
-"""Factors on the outlier bound, tried in turn until no more than that share sticks out."""
 NORMAL_975 = 1.959963984540054  # 97.5 % quantile of the standard normal
 
 
@@ -90,9 +76,9 @@ def fit_slope(load: FloatArray, response: FloatArray, trial: IntArray) -> SlopeF
     n_trials = len(numbers)
     x, z, y = load.ravel(), neighbours(load, trial).ravel(), response.ravel()
     groups = np.repeat(cluster, load.shape[1])
-    loaded = np.abs(x) >= LOADED_SHARE * np.abs(x).max()
+    loaded = np.abs(x) >= RULES.loaded_share * np.abs(x).max()
 
-    for widening in WIDENINGS:
+    for widening in RULES.widenings:
         k, scale = _solve_robustly(x, z, y, loaded, widening)
         residual = y - k * x
         weight, slope = _tukey(residual, scale * widening)
@@ -100,7 +86,7 @@ def fit_slope(load: FloatArray, response: FloatArray, trial: IntArray) -> SlopeF
         refused = np.bincount(groups, loaded & ~kept, n_trials) / np.maximum(
             np.bincount(groups, loaded, n_trials), 1
         )
-        if (refused > 0.5).mean() <= MAX_OUTLYING_SHARE:
+        if (refused > 0.5).mean() <= RULES.max_outlying_share:
             break
     stderr, dof = _clustered_error(x * slope, z, residual * weight, groups, n_trials)
     spread = ((y[kept] - y[kept].mean()) ** 2).sum()
@@ -130,7 +116,7 @@ def neighbours(load: FloatArray, trial: IntArray) -> FloatArray:
     before = np.where(index - lag >= start, index - lag, index + lag)
     after = np.where(index + lag < start + length, index + lag, index - lag)
     mean = 0.5 * (load[before] + load[after])
-    relevant = (mean * load).sum() > MIN_RELEVANCE * (load**2).sum()
+    relevant = (mean * load).sum() > RULES.min_relevance * (load**2).sum()
     return mean if relevant else load
 
 
@@ -143,13 +129,13 @@ def _solve_robustly(
     cumulated = np.cumsum(share[order])
     k = float(ratio[order][np.searchsorted(cumulated, 0.5 * cumulated[-1])])
     scale = 0.0
-    for iteration in range(MAX_ITERATIONS):
+    for iteration in range(RULES.max_iterations):
         residual = y - k * x
-        if iteration < SCALE_ITERATIONS:
+        if iteration < RULES.scale_iterations:
             scale = float(1.4826 * np.median(np.abs(residual[loaded])))
         weighted = z * _tukey(residual, scale * widening)[0]
         before, k = k, float((weighted * y).sum() / (weighted * x).sum())
-        if abs(k - before) <= TOLERANCE * abs(k):
+        if abs(k - before) <= RULES.tolerance * abs(k):
             break
     return k, scale
 
@@ -159,7 +145,7 @@ def _tukey(residual: FloatArray, scale: float) -> tuple[FloatArray, FloatArray]:
     if scale <= 0.0:
         exact = np.ones_like(residual)
         return exact, exact
-    u = (residual / (TUKEY * scale)) ** 2
+    u = (residual / (RULES.tukey * scale)) ** 2
     inside = u < 1.0
     return np.where(inside, (1 - u) ** 2, 0.0), np.where(inside, (1 - u) * (1 - 5 * u), 0.0)
 
@@ -176,7 +162,7 @@ def _clustered_error(
         return np.nan, 0.0
     bread = np.bincount(groups, instrument * regressor, n_groups)
     score: FloatArray = np.bincount(groups, instrument * influence, n_groups).astype(np.float64)
-    remaining = np.maximum(1.0 - bread / bread.sum(), MIN_REMAINING_LEVERAGE)
+    remaining = np.maximum(1.0 - bread / bread.sum(), RULES.min_remaining_leverage)
     variance = float((score**2 / remaining).sum()) / bread.sum() ** 2
     dof = _degrees_of_freedom(instrument, influence, groups, n_groups, score)
     return float(np.sqrt(variance)) * float(stdtrit(dof, 0.975)) / NORMAL_975, dof

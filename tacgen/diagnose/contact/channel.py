@@ -19,6 +19,7 @@ from scipy.optimize import nnls
 
 from tacgen.contact.effects import Channel, LoadHistory
 from tacgen.contact.effects.kernels import moving_mean
+from tacgen.contact.noise import is_clean, second_differences
 from tacgen.core.types import BoolArray, FloatArray
 from tacgen.diagnose.rules import CONTACT, ContactRules
 from tacgen.presses.press_log import SHEAR_MOTIONS, Columns
@@ -30,7 +31,6 @@ MAX_FLOOR_RISE = 1.1  # from one to the next: a load's course rises more than no
 OUTLIER_SIGMAS = 7.0  # so far from its neighbours a sample has no weight
 MAX_VARIANCE_RATIO = 25.0  # of the weights that noise growing with the load gives
 _CHANCES = 3.0  # standard deviations that noise seldom reaches
-_MEDIAN_OF_CHI2 = 0.455  # median of a squared standard normal number
 
 
 @dataclass(frozen=True)
@@ -270,32 +270,14 @@ def noise_and_weight(
     Second differences do not see what varies slowly. Their square is fitted by a + b·load², so
     that noise that grows with the load weighs less where it is large.
     """
-    rows, square = _second_differences(rough, starts, 1)
+    rows, square = second_differences(rough, starts)
     if rows.size < 8:
         return float(rough.std()) or 1e-12, np.ones(load.size)
-    clean = is_clean(square)
+    clean = is_clean(square, OUTLIER_SIGMAS)
     noise = float(np.sqrt(square[clean].mean()))
     weight = _precision(square[clean], load[rows[clean]], load)
     weight[_spikes(rough, starts, noise / np.sqrt(weight))] = 0.0
     return max(noise, 1e-12), weight
-
-
-def _second_differences(
-    values: FloatArray, starts: NDArray[np.int64], lag: int
-) -> tuple[NDArray[np.int64], FloatArray]:
-    """Rows that have neighbours in their trial, and the squares (M,) of second differences there.
-
-    Averaged over the outputs of ``values`` (N, C), on the scale of one sample's noise.
-    """
-    rows = np.concatenate([np.arange(i + lag, j - lag, dtype=int) for i, j in pairwise(starts)])
-    second = values[rows - lag] - 2.0 * values[rows] + values[rows + lag]
-    return rows, (second**2).mean(axis=1) / 6.0
-
-
-def is_clean(square: FloatArray) -> BoolArray:
-    """Which squares of noise are no outliers."""
-    typical = float(np.median(square)) / _MEDIAN_OF_CHI2 or 1e-24
-    return square < OUTLIER_SIGMAS**2 * typical
 
 
 def noise_floor(residual: FloatArray, starts: NDArray[np.int64]) -> float:
@@ -307,10 +289,10 @@ def noise_floor(residual: FloatArray, starts: NDArray[np.int64]) -> float:
     """
     floor = float("nan")
     for lag in FLOOR_LAGS:
-        _, square = _second_differences(residual, starts, lag)
+        _, square = second_differences(residual, starts, lag)
         if not square.size:
             break
-        wider = float(np.sqrt(square[is_clean(square)].mean()))
+        wider = float(np.sqrt(square[is_clean(square, OUTLIER_SIGMAS)].mean()))
         if lag > 1 and not wider <= MAX_FLOOR_RISE * floor:
             break
         floor = float(np.fmax(wider, floor))
