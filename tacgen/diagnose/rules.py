@@ -123,10 +123,10 @@ class OpticsRules(SearchRules):
     # The choice of effects.
     false_alarm: float = 0.005  # Chance, over all candidates of a step, of an effect on presses
     # without: of six kinds, 3 %.
-    least_gain: float = 0.1
-    least_gain_per_parameter: float = 0.018  # 5 % of the error, and more for what can bend to a
-    # table's errors of form: clean presses gain up to 0.1 by a shadow and 0.25 by the nine shares
-    # of a camera's colours.
+    least_gain: float = 0.05
+    least_gain_per_parameter: float = 0.01  # 2.5 % of the error, and more for what can bend to a
+    # table's errors of form: clean simulated presses gain up to 0.01, measured ones 0.1 by the nine
+    # shares of a camera's colours.
     least_gain_of_rigid: float = 0.05  # For what geometry gives its form: clean simulated presses
     # gain up to 0.02 by a near lamp's shadow, Taxim's and a Mini's 0.1 and 0.17.
     least_gain_grey: float = 0.08  # Of the error, grey levels, of the same: clean simulated presses

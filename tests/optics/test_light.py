@@ -11,6 +11,7 @@ from tacgen.core.errors import TableError
 from tacgen.core.records import Sensor
 from tacgen.optics.effects import Patch, Stage, check_effects, optical_effect, optical_effects
 from tacgen.optics.effects.shadow import (
+    NEAR_PENUMBRA_MM,
     PENUMBRA_MM,
     cast_shadow,
     shadow_reach_mm,
@@ -105,7 +106,7 @@ def test_a_near_lamp_hides_what_rays_to_it_find_hidden(azimuth_deg, distance_mm)
         # Of the ray that passes the relief, as it reaches the pixel.
         reached = (relief - share * lamp_mm[2]) / (1 - share) if share < 1 else np.inf
         below = np.maximum(below, height - reached)
-    rays = np.clip(below / PENUMBRA_MM, 0, 1)
+    rays = np.clip(below / NEAR_PENUMBRA_MM, 0, 1)
     direction = (*(math.cos(elevation) * lamp_mm[:2] / distance_mm), -math.sin(elevation))
     swept = cast_shadow(
         height.astype(np.float32), MM_PER_PX, direction,

@@ -29,7 +29,6 @@ from tacgen.optics.effects import (
     optical_effect,
     optical_effects,
 )
-from tacgen.optics.effects.skirt import SKIRT
 from tacgen.optics.table import LookupTable
 from tacgen.presses.experiments import ranked
 from tacgen.presses.press_images import PressImages, label_mm
@@ -269,8 +268,11 @@ def diagnose_optics(
 def _effects_of(table: LookupTable) -> dict[str, dict[str, float]]:
     """What the table renders, and the gel's shape beside a press as it was found before."""
     factors = table.provenance.get("press_model", {}).get("slope_factors") or ()
-    shape = {name: float(f) for name, (_, f) in zip(SKIRT.parameters, factors, strict=False)}
-    return {**table.effects, **({SKIRT.name: shape} if shape else {})}
+    known = {name: dict(values) for name, values in table.effects.items()}
+    for effect in optical_effects(Stage.GEL, Stage.GEL) if factors else ():
+        pairs = zip(effect.parameters, factors, strict=True)
+        known[effect.name] = {name: float(factor) for name, (_, factor) in pairs}
+    return known
 
 
 def on_presses(fit: PressFit, start: Model, found: Model) -> Model:
@@ -381,10 +383,14 @@ def _extended(
     rendered = {effect.name for effect in optical_effects(Stage.SURFACE)}
     effects = {name: v for name, v in found.effects().items() if name in rendered}
     provenance = {**table.provenance, "diagnosed_by": f"tacgen {__version__} diagnose optics"}
-    shape = found.effects().get(SKIRT.name)
-    if shape and "press_model" in provenance:
+    shapes = [
+        effect.slope_factors(**found.effects()[effect.name])
+        for effect in optical_effects(Stage.GEL, Stage.GEL)
+        if effect.name in found.effects()
+    ]
+    if shapes and "press_model" in provenance:
         drawn = PressModel.from_dict(provenance["press_model"])
-        membrane = replace(drawn.membrane, slope_factors=SKIRT.slope_factors(**shape))
+        membrane = replace(drawn.membrane, slope_factors=shapes[0])
         drawn = replace(drawn, membrane=membrane, labels=learn_labels(labels_mm, found.places))
         provenance["press_model"] = drawn.as_dict()
     return replace(

@@ -32,4 +32,4 @@ class Skirt(base.OpticalEffect):
         return [base.OpticalCandidate(self.name, one, self.parameters, rigid=True)]
 
 
-SKIRT = base.register(Skirt())
+base.register(Skirt())
