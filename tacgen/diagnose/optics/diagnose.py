@@ -86,7 +86,8 @@ class PressErrors:
 class OpticsDiagnosis(record.Summarised):
     """The outcome, with everything that the report shows.
 
-    ``table`` is the table that was compared, with the effects that were found.
+    ``table`` is the table that was compared, with the effects that were found; ``fit`` holds the
+    presses that were fitted to, ``test_fit`` the others.
     """
 
     effects: tuple[FoundEffect, ...]
@@ -95,6 +96,7 @@ class OpticsDiagnosis(record.Summarised):
     selection: Selection
     table: LookupTable
     tests: NDArray[np.int64]
+    fit: PressFit
     test_fit: PressFit
     test_start: Model
     before: PressErrors
@@ -255,6 +257,7 @@ def diagnose_optics(
         selection=selection,
         table=extended,
         tests=np.nonzero(testing)[0],
+        fit=fit,
         test_fit=test_fit,
         test_start=test_start,
         before=_errors(test_fit, test_start),

@@ -40,7 +40,7 @@ def dependences(fit: PressFit, model: Model) -> tuple[Dependence, ...]:
             grey = np.sqrt(typical(before)) - np.sqrt(typical(after))
             found.append(Dependence(name, p_value, float(grey)))
     for name, by_place in ((AROUND, False), (AROUND_BY_PLACE, True)):
-        before, after = _around_contact(fit, model, residuals, by_place=by_place)
+        before, after = around_contact(fit, model, residuals, by_place=by_place)
         grey = float(np.sqrt(max(before.mean() - after.mean(), 0.0)))
         gain, error = log_gain(before, after)
         p_value = float(student.sf(gain / error, len(before) - 1))
@@ -54,7 +54,7 @@ def _hats(values: FloatArray, nodes: FloatArray) -> FloatArray:
     return np.maximum(0.0, 1.0 - np.abs(values[:, None] - nodes) / (nodes[1] - nodes[0]))
 
 
-def _around_contact(
+def around_contact(
     fit: PressFit, model: Model, residuals: list[FloatArray], *, by_place: bool
 ) -> tuple[FloatArray, FloatArray]:
     """Mean squares (E,) of the residuals around each contact, and of what a pattern leaves.
