@@ -14,6 +14,7 @@ other sets only judge.
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -37,8 +38,10 @@ def main() -> None:
     """Print a Markdown table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("presses", nargs="+", type=Path)
-    print("| presses | verdict, follows | effects | labelled error | around contacts |")
-    print("|---|---|---|---|---|", flush=True)
+    sys.stdout.write(
+        "| presses | verdict, follows | effects | labelled error | around contacts |\n"
+    )
+    sys.stdout.write("|---|---|---|---|---|\n")
     for path in parser.parse_args().presses:
         found = diagnose_optics(usable_presses(read_presses(path)))
         follows = ", ".join(one.covariate for one in found.unexplained)
@@ -47,12 +50,12 @@ def main() -> None:
             for one in found.effects
         )
         fit, chosen = found.fit, found.selection.chosen
-        print(
+        sys.stdout.write(
             f"| {path.name} | {found.verdict} {follows} | {effects} | {found.rmse_before:.2f} → "
             f"{found.rmse_after:.2f} | {structure(fit, found.selection.start)} → "
-            f"{structure(fit, chosen)} |",
-            flush=True,
+            f"{structure(fit, chosen)} |\n"
         )
+        sys.stdout.flush()
 
 
 if __name__ == "__main__":

@@ -51,7 +51,8 @@ def dependences(fit: PressFit, model: Model) -> tuple[Dependence, ...]:
 
 def _hats(values: FloatArray, nodes: FloatArray) -> FloatArray:
     """Weights (n, len(nodes)) of linear interpolation between even nodes; 0 beyond them."""
-    return np.maximum(0.0, 1.0 - np.abs(values[:, None] - nodes) / (nodes[1] - nodes[0]))
+    apart = np.abs(values[:, None] - nodes) / (nodes[1] - nodes[0])
+    return np.asarray(np.maximum(0.0, 1.0 - apart))
 
 
 def around_contact(

@@ -125,15 +125,17 @@ def cast_shadow(
     if flat < 1e-6:
         return None
     away_mm = lamp_distance_mm or FAR_AWAY_MM
-    lamp_px = [
+    row_px, column_px = (
         middle + away_mm * part / flat / mm_per_px
         for middle, part in zip(middle_px, (y, x), strict=True)
-    ]
+    )
     shade = np.zeros(height_mm.shape, dtype=np.float32)
     across = np.zeros(height_mm.shape[::-1], dtype=np.float32)
-    lamp = away_mm * abs(z) / flat, 1 / (NEAR_PENUMBRA_MM if lamp_distance_mm else PENUMBRA_MM)
-    found = _sweep(height_mm, *lamp_px, *lamp, shade)
-    if _sweep(np.ascontiguousarray(height_mm.T), *lamp_px[::-1], *lamp, across):
+    lamp_mm = away_mm * abs(z) / flat
+    per_mm = 1 / (NEAR_PENUMBRA_MM if lamp_distance_mm else PENUMBRA_MM)
+    turned = np.ascontiguousarray(height_mm.T)
+    found = _sweep(height_mm, row_px, column_px, lamp_mm, per_mm, shade)
+    if _sweep(turned, column_px, row_px, lamp_mm, per_mm, across):
         shade += across.T
     elif not found:
         return None
