@@ -39,7 +39,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("presses", nargs="+", type=Path)
     sys.stdout.write(
-        "| presses | verdict, follows | effects | labelled error | around contacts |\n"
+        "| presses | verdict, follows | effects | error | around contacts |\n"
     )
     sys.stdout.write("|---|---|---|---|---|\n")
     for path in parser.parse_args().presses:
