@@ -24,7 +24,7 @@ from tacgen.core.records import Sensor as Description
 from tacgen.optics import shade
 from tacgen.optics.deform import FINAL_SIGMA_MM, FIRM_CONTACT, NEGLIGIBLE_MM, PYRAMID_SIGMA_MM
 from tacgen.optics.effects import with_cast_shadows
-from tacgen.optics.effects.shadow import DEFAULT_STRENGTH, PENUMBRA_MM, SHADOW
+from tacgen.optics.effects.shadow import PENUMBRA_MM, SHADOW
 from tacgen.optics.image_models import Quadratic, Response
 from tacgen.optics.markers import INK_TRANSMISSION
 from tacgen.optics.noise import CameraNoise
@@ -68,6 +68,8 @@ def undrawable(table: LookupTable) -> str:
     others, model = [name for name in table.effects if name != SHADOW.name], table.image_model
     if others:
         return f"a GPU draws no optical effect but shadows; the table has {', '.join(others)}"
+    if table.effects.get(SHADOW.name, {}).get("lamp_distance_mm"):
+        return "a GPU draws shadows of lamps far away alone; the table has near ones"
     if not isinstance(model, Quadratic | Response):
         return f"a GPU cannot draw the image model {model.kind!r} yet"
     return ""
@@ -201,7 +203,7 @@ class WarpWorlds:
             main, across = (x, y) if is_turned else (y, x)
             rise_mm = abs(z) / flat * table.mm_per_px * flat / abs(main)
             rows.append((is_turned, main < 0, across / abs(main), rise_mm))
-            shares.append(shadow.get("strength", DEFAULT_STRENGTH) * np.asarray(rgb))
+            shares.append(values["strengths"] * np.asarray(rgb))
         turned, down, across_px, rises_mm = zip(*rows, strict=True)
         total = np.maximum(np.sum([rgb for _, rgb in values["leds"]], axis=0), 1e-9)
         ready.n, ready.per_mm = len(rows), 1.0 / PENUMBRA_MM

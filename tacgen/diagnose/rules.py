@@ -108,9 +108,9 @@ class OpticsRules(SearchRules):
     # over the session.
     folds: int = 5  # Folds of whole presses; as many as ``tacgen calibrate lookup`` scores a table
     # on.
-    reach_radii: float = 1.5  # Pixels up to here from a centre belong to the contact: its rim lies
-    # within.
-    pixels_per_press: int = 400  # On an even lattice; more cost time and change no name.
+    reach_radii: float = 2.2  # Pixels up to here from a centre belong to the contact: its rim and
+    # the shadow that it casts lie within.
+    pixels_per_press: int = 800  # On an even lattice; more cost time and change no name.
     bare_beyond_radii: float = 2.2  # From here on the gel is bare, as for the calibration's drift.
     bare_pixels: int = 200  # On an even lattice over the rest of the image: what acts on the whole
     # image shows there without the errors of form that a table leaves around a contact.
@@ -136,10 +136,14 @@ class OpticsRules(SearchRules):
     # The choice of effects.
     false_alarm: float = 0.005  # Chance, over all candidates of a step, of an effect on presses
     # without: of six kinds, 3 %.
-    least_gain: float = 0.1
-    least_gain_per_parameter: float = 0.018  # 5 % of the error, and more for what can bend to a
-    # table's errors of form: clean presses gain up to 0.1 by a shadow and 0.25 by the nine shares
-    # of a camera's colours.
+    least_gain: float = 0.05
+    least_gain_per_parameter: float = 0.01  # 2.5 % of the error, and more for what can bend to a
+    # table's errors of form: clean simulated presses gain up to 0.01, measured ones 0.1 by the nine
+    # shares of a camera's colours.
+    least_gain_of_rigid: float = 0.05  # For what geometry gives its form: clean simulated presses
+    # gain up to 0.02 by a near lamp's shadow, Taxim's and a Mini's 0.1 and 0.17.
+    least_gain_grey: float = 0.08  # Of the error, grey levels, of the same: clean simulated presses
+    # gain 0.07, by the skirt of their own renderer, which is no exponential.
     clear_gain_in_se: float = 3.0  # Standard errors that a gain must exceed: what harms the first
     # presses is not on all.
     least_gain_of_places: float = 0.65
@@ -166,6 +170,10 @@ class OpticsRules(SearchRules):
     least_gain_of_place: float = 0.5
     least_gain_of_condition: float = 0.1  # For a pattern on the gel, and a line in a condition of
     # the presses: by those clean presses gain up to 0.48 and 0.09.
+    least_structure_grey: float = 1.0  # Root mean square of a pattern of distance and direction:
+    # clean simulated presses have 0.7, by the skirt of their renderer.
+    rings: int = 10  # Distances from a contact at which such a pattern has values: a quarter of
+    # its radius apart.
     cells: int = 16  # Along each side of the image, in which a mark on the gel is looked for: a
     # millimetre.
     held_presses: float = 2.0  # A pattern or trend is held back as if so many presses had shown

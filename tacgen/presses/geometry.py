@@ -25,6 +25,9 @@ class Membrane:
 
     decay_mm: float  # over which the slope falls off by 1/e outside the contact
     sharpness: float = 8.0  # of the joint of the two pieces: large is a kink, 2 a wide shoulder
+    slope_factors: tuple[tuple[float, float], ...] = ()
+    """Contact radii, rising, and what the slope is multiplied by there; 1 inside the contact,
+    linear between, and beyond the last as there."""
 
 
 def rest_slope(
@@ -78,7 +81,11 @@ class PressedGel:
         inside = np.minimum(r_mm, MAX_CAP_SHARE * ball)
         cap = inside * (1.0 / np.sqrt(ball**2 - inside**2) + dome_per_mm)
         tail = rim * np.exp(-outward)
-        return np.asarray(cap * (1.0 + (cap / tail) ** joint) ** (-1 / joint))
+        slope = cap * (1.0 + (cap / tail) ** joint) ** (-1 / joint)
+        if self.membrane.slope_factors:
+            radii, factors = zip((1.0, 1.0), *self.membrane.slope_factors, strict=True)
+            slope = slope * np.interp(r_mm / self.contact_radius_mm, radii, factors)
+        return np.asarray(slope)
 
     def slope(self, dx_mm: FloatArray, dy_mm: FloatArray) -> tuple[FloatArray, FloatArray]:
         """∂h/∂x and ∂h/∂y at distances along columns and rows (...) from the centre.

@@ -5,11 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 
 from tacgen.core.errors import TableError
 from tacgen.core.records import Sensor
 from tacgen.optics.effects import Patch, Stage, check_effects, optical_effect, optical_effects
 from tacgen.optics.effects.shadow import (
+    NEAR_PENUMBRA_MM,
     PENUMBRA_MM,
     cast_shadow,
     shadow_reach_mm,
@@ -82,6 +84,38 @@ def test_flat_gel_has_no_shadow_and_rays_agree_with_the_sweep():
     either = (by_rays > 0.2) | (swept > 0.2)
     assert either.sum() > 100
     assert both.sum() > 0.85 * either.sum()
+
+
+@pytest.mark.parametrize("azimuth_deg", [0, 40, 100, 225, 300])
+@pytest.mark.parametrize("distance_mm", [4.0, 8.0])
+def test_a_near_lamp_hides_what_rays_to_it_find_hidden(azimuth_deg, distance_mm):
+    """Rays are stepped from each pixel to the lamp, which may stand beneath the picture."""
+    azimuth, elevation = math.radians(azimuth_deg), math.radians(25)
+    lamp_mm = distance_mm * np.array([math.cos(azimuth), math.sin(azimuth), -math.tan(elevation)])
+    rows, columns = np.indices((80, 100))
+    height = sum(
+        -depth * np.exp(-((rows - r) ** 2 + (columns - c) ** 2) / 30.0)
+        for depth, r, c in [(0.8, 20, 25), (1.0, 55, 70), (0.6, 62, 20)]
+    )
+    x, y = (columns - 49.5) * MM_PER_PX, (rows - 39.5) * MM_PER_PX
+    below = np.full(height.shape, -np.inf)
+    for share in np.linspace(0, 1, 400)[1:]:
+        at = [axis + share * (lamp - axis) for axis, lamp in ((y, lamp_mm[1]), (x, lamp_mm[0]))]
+        at = np.stack([at[0] / MM_PER_PX + 39.5, at[1] / MM_PER_PX + 49.5])
+        relief = map_coordinates(height, at, order=1, cval=1e6)
+        # Of the ray that passes the relief, as it reaches the pixel.
+        reached = (relief - share * lamp_mm[2]) / (1 - share) if share < 1 else np.inf
+        below = np.maximum(below, height - reached)
+    rays = np.clip(below / NEAR_PENUMBRA_MM, 0, 1)
+    direction = (*(math.cos(elevation) * lamp_mm[:2] / distance_mm), -math.sin(elevation))
+    swept = cast_shadow(
+        height.astype(np.float32), MM_PER_PX, direction,
+        lamp_distance_mm=distance_mm, middle_px=(39.5, 49.5),
+    )  # fmt: skip
+    away = np.hypot(x - lamp_mm[0], y - lamp_mm[1]) > 0.5
+    assert (rays[away] > 0.5).sum() > 50
+    assert abs(swept - rays)[away].mean() < 0.01
+    assert np.quantile(abs(swept - rays)[away], 0.99) < 0.2
 
 
 def test_lights_are_found_again_in_a_table():

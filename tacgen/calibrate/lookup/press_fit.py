@@ -138,7 +138,8 @@ class PressModel:
         """The inverse of ``as_dict``."""
         known = {**values, "shift_mm": np.asarray(values["shift_mm"], dtype=np.float64)}
         labels = LabelModel(**{name: known[name] for name in LabelModel.__slots__})
-        membrane = Membrane(known["decay_mm"], known["sharpness"])
+        factors = tuple((float(r), float(f)) for r, f in known.get("slope_factors", ()))
+        membrane = Membrane(known["decay_mm"], known["sharpness"], factors)
         return cls(labels, membrane, known["dome_radius_mm"])
 
 

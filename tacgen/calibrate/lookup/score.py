@@ -122,10 +122,15 @@ class PressRenderer:
         return np.clip(self.lit(geometry, ball_radius_mm, pixels, self.table.effects), 0.0, 255.0)
 
     def lit(
-        self, geometry: FloatArray, ball_radius_mm: float, pixels: Pixels, effects: Effects
+        self,
+        geometry: FloatArray,
+        ball_radius_mm: float,
+        pixels: Pixels,
+        effects: Effects,
+        slope_factors: tuple[tuple[float, float], ...] = (),
     ) -> FloatArray:
-        """The same with other effects, unclipped."""
-        self._render(geometry, ball_radius_mm, pixels.window, effects)
+        """The same with other effects, and slopes beside the contact, unclipped."""
+        self._render(geometry, ball_radius_mm, pixels.window, effects, slope_factors)
         return self._image[pixels.rows, pixels.columns].astype(np.float64)
 
     def picture(
@@ -140,8 +145,17 @@ class PressRenderer:
         return np.rint(np.clip(part, 0, 255)).astype(np.uint8)
 
     def _render(
-        self, geometry: FloatArray, ball_radius_mm: float, window: Window, effects: Effects
+        self,
+        geometry: FloatArray,
+        ball_radius_mm: float,
+        window: Window,
+        effects: Effects,
+        slope_factors: tuple[tuple[float, float], ...] = (),
     ) -> None:
+        model = self.model
+        if slope_factors:
+            membrane = replace(model.membrane, slope_factors=slope_factors)
+            model = replace(model, membrane=membrane)
         shader = self._shader(effects)
         depth_mm = ball_radius_mm - math.sqrt(max(ball_radius_mm**2 - geometry[2] ** 2, 0.0))
         shape = self.table.shape_px
@@ -149,9 +163,7 @@ class PressRenderer:
         top, bottom, left, right = grown(window, shader.slope_reach_px, shape)
         rows, columns = np.arange(top, bottom, dtype=float), np.arange(left, right, dtype=float)
         x_mm, y_mm = place_mm(columns, rows[:, None], shape, self.table.mm_per_px)
-        self._height_mm[top:bottom, left:right] = self.model.height(
-            geometry, ball_radius_mm, x_mm, y_mm
-        )
+        self._height_mm[top:bottom, left:right] = model.height(geometry, ball_radius_mm, x_mm, y_mm)
         shader.light(self._height_mm, window, self._image)
         shader.finish(self._height_mm, window, self._image)
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.calibrate.lookup.press_fit import PressModel, learn_labels
 from tacgen.calibrate.lookup.score import check_resolution
 from tacgen.calibrate.lookup.table_fit import calibrate, camera_noise_grey
 from tacgen.core.errors import PressError
@@ -30,7 +31,7 @@ from tacgen.optics.effects import (
 )
 from tacgen.optics.table import LookupTable
 from tacgen.presses.experiments import ranked
-from tacgen.presses.press_images import PressImages
+from tacgen.presses.press_images import PressImages, label_mm
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +84,8 @@ class PressErrors:
 class OpticsDiagnosis(record.Summarised):
     """The outcome, with everything that the report shows.
 
-    ``table`` is the table that was compared, with the effects that were found.
+    ``table`` is the table that was compared, with the effects that were found; ``fit`` holds the
+    presses that were fitted to, ``test_fit`` the others.
     """
 
     effects: tuple[FoundEffect, ...]
@@ -92,6 +94,7 @@ class OpticsDiagnosis(record.Summarised):
     selection: Selection
     table: LookupTable
     tests: NDArray[np.int64]
+    fit: PressFit
     test_fit: PressFit
     test_start: Model
     before: PressErrors
@@ -217,7 +220,8 @@ def diagnose_optics(
         has_table=table is not None,
         grey=np.concatenate([view.pixels.grey for view in fit.views]),
     )
-    start, test_start = fit.start(whole.effects), test_fit.start(whole.effects)
+    known_effects = _effects_of(whole)
+    start, test_start = fit.start(known_effects), test_fit.start(known_effects)
     focus = lost_noise(shown, tests, table, rules)
     without: set[str] = set()
     if focus is not None:
@@ -235,6 +239,8 @@ def diagnose_optics(
             break
         without.add(weak[0])
     model = selection.chosen
+    extended = _extended(whole, model, noise, label_mm(shown))
+    after_fit = PressFit(views_of(presses, testing, [extended], rules), rules, tests.experiment)
     return OpticsDiagnosis(
         effects=(
             *([_out_of_focus(focus)] if focus else []),
@@ -246,16 +252,27 @@ def diagnose_optics(
         unexplained=dependences(fit, model),
         cannot_tell=_cannot_tell(scene, selection),
         selection=selection,
-        table=_extended(whole, model, noise),
+        table=extended,
         tests=np.nonzero(testing)[0],
+        fit=fit,
         test_fit=test_fit,
         test_start=test_start,
         before=_errors(test_fit, test_start),
-        after=_errors(test_fit, on_presses(test_fit, test_start, model)),
+        after=_errors(after_fit, on_presses(after_fit, after_fit.start(known_effects), model)),
         noise_floor=noise,
         n_fit=shown.n_experiments,
         mean_grey=float(presses.images.mean()),
     )
+
+
+def _effects_of(table: LookupTable) -> dict[str, dict[str, float]]:
+    """What the table renders, and the gel's shape beside a press as it was found before."""
+    factors = table.provenance.get("press_model", {}).get("slope_factors") or ()
+    known = {name: dict(values) for name, values in table.effects.items()}
+    for effect in optical_effects(Stage.GEL, Stage.GEL) if factors else ():
+        pairs = zip(effect.parameters, factors, strict=True)
+        known[effect.name] = {name: float(factor) for name, (_, factor) in pairs}
+    return known
 
 
 def on_presses(fit: PressFit, start: Model, found: Model) -> Model:
@@ -354,15 +371,28 @@ def _parameters(
     return found
 
 
-def _extended(table: LookupTable, found: Model, noise_grey: float) -> LookupTable:
+def _extended(
+    table: LookupTable, found: Model, noise_grey: float, labels_mm: FloatArray
+) -> LookupTable:
     """The table with the effects that were found, which the renderer applies.
 
     What belongs to the presses (labels, the scatter of exposures) stays out; the camera's noise is
-    theirs.
+    theirs. A gel of another shape beside a contact goes into how a press is drawn, and what the
+    labels ``labels_mm`` (N, 3) say of a place is learnt with it anew.
     """
     rendered = {effect.name for effect in optical_effects(Stage.SURFACE)}
     effects = {name: v for name, v in found.effects().items() if name in rendered}
     provenance = {**table.provenance, "diagnosed_by": f"tacgen {__version__} diagnose optics"}
+    shapes = [
+        effect.slope_factors(**found.effects()[effect.name])
+        for effect in optical_effects(Stage.GEL, Stage.GEL)
+        if effect.name in found.effects()
+    ]
+    if shapes and "press_model" in provenance:
+        drawn = PressModel.from_dict(provenance["press_model"])
+        membrane = replace(drawn.membrane, slope_factors=shapes[0])
+        drawn = replace(drawn, membrane=membrane, labels=learn_labels(labels_mm, found.places))
+        provenance["press_model"] = drawn.as_dict()
     return replace(
         table,
         effects=effects,

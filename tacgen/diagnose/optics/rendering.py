@@ -107,7 +107,10 @@ class PressView:
         early = {
             effect.name: values for effect, values in _active(effects, Stage.SURFACE, Stage.FOCUS)
         }
-        return self.renderer.lit(place, ball, pixels, early)
+        factors = [
+            e.slope_factors(**values) for e, values in _active(effects, Stage.GEL, Stage.GEL)
+        ]
+        return self.renderer.lit(place, ball, pixels, early, *factors)
 
     def finished(self, lit: FloatArray, effects: Effects) -> FloatArray:
         """Grey levels (n, 3) after the stages that follow, which act pixel by pixel."""

@@ -9,13 +9,17 @@ from tacgen.diagnose.optics.fit import Model, PressFit, typical
 from tacgen.diagnose.optics.selection import log_gain
 
 PLACE = "place_on_gel"
+AROUND = "distance_and_direction"
+AROUND_BY_PLACE = "distance_and_direction_by_place"
+_TEN_MM = 10.0  # a gel's size
 
 
 def dependences(fit: PressFit, model: Model) -> tuple[Dependence, ...]:
     """Covariates that a model's held-out residuals follow, the strongest first.
 
     For each the residuals are predicted from the other folds' presses and subtracted; a line in a
-    condition is compared with a constant.
+    condition is compared with a constant. A pattern of distance and direction from the contact,
+    the same for all presses or changing over the gel, counts by its grey levels.
     """
     rules = fit.rules
     residuals = fit.residuals(model)
@@ -35,7 +39,55 @@ def dependences(fit: PressFit, model: Model) -> tuple[Dependence, ...]:
         if gain >= least and p_value <= rules.false_alarm / len(errors):
             grey = np.sqrt(typical(before)) - np.sqrt(typical(after))
             found.append(Dependence(name, p_value, float(grey)))
+    for name, by_place in ((AROUND, False), (AROUND_BY_PLACE, True)):
+        before, after = around_contact(fit, model, residuals, by_place=by_place)
+        grey = float(np.sqrt(max(before.mean() - after.mean(), 0.0)))
+        gain, error = log_gain(before, after)
+        p_value = float(student.sf(gain / error, len(before) - 1))
+        if grey > rules.least_structure_grey and p_value <= rules.false_alarm:
+            found.append(Dependence(name, p_value, grey))
     return tuple(sorted(found, key=lambda dependence: -dependence.gain))
+
+
+def _hats(values: FloatArray, nodes: FloatArray) -> FloatArray:
+    """Weights (n, len(nodes)) of linear interpolation between even nodes; 0 beyond them."""
+    apart = np.abs(values[:, None] - nodes) / (nodes[1] - nodes[0])
+    return np.asarray(np.maximum(0.0, 1.0 - apart))
+
+
+def around_contact(
+    fit: PressFit, model: Model, residuals: list[FloatArray], *, by_place: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Mean squares (E,) of the residuals around each contact, and of what a pattern leaves.
+
+    The pattern is a smooth function of distance, in contact radii, and direction, fitted to the
+    other folds' presses; ``by_place`` it changes linearly over the gel.
+    """
+    rules = fit.rules
+    nodes = np.linspace(0.0, rules.reach_radii, rules.rings)
+    columns, near = [], []
+    for view, (x, y, radius), residual in zip(fit.views, model.places, residuals, strict=True):
+        dx, dy = view.pixels.x_mm - x, view.pixels.y_mm - y
+        distance, turn = np.hypot(dx, dy) / radius, np.arctan2(dy, dx)
+        seen = distance < rules.reach_radii
+        waves = np.column_stack(
+            [np.ones_like(turn), *(f(k * turn) for k in (1, 2) for f in (np.cos, np.sin))]
+        )[seen]
+        basis = np.einsum("nr,nw->nrw", _hats(distance[seen], nodes), waves)
+        places = np.array([1.0, *(np.array([x, y]) / _TEN_MM)]) if by_place else np.ones(1)
+        columns.append(np.kron(places, basis.reshape(len(waves), -1)))
+        near.append(residual[seen])
+    grams = np.array([c.T @ c for c in columns])
+    moments = np.array([c.T @ r for c, r in zip(columns, near, strict=True)])
+    mean = grams.mean(axis=0)
+    size = np.trace(mean) / len(mean)
+    held = rules.held_presses * np.diag(np.diag(mean)) + 1e-6 * size * np.eye(len(mean))
+    after = []
+    for k, fold in enumerate(fit.folds):
+        kept = fit.folds != fold
+        weights = np.linalg.solve(grams[kept].sum(axis=0) + held, moments[kept].sum(axis=0))
+        after.append(near[k] - columns[k] @ weights)
+    return fit.mean_squares(near), fit.mean_squares(after)
 
 
 def _squares(fit: PressFit, residuals: list[FloatArray], predicted: list[FloatArray]) -> FloatArray:

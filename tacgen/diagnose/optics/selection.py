@@ -190,6 +190,10 @@ class PressProblem(Problem[OpticalCandidate, Scored]):
             return full.gain > 0
         rules = self.rules
         least = rules.least_gain + rules.least_gain_per_parameter * len(member.shared)
+        if member.rigid:
+            least = rules.least_gain_of_rigid
+            if math.expm1(0.5 * full.gain) * full.rmse < rules.least_gain_grey:
+                return False
         if member.each:
             place = self._known == Known.PLACE
             least = rules.least_gain_of_places if place else rules.least_gain_of_exposures

@@ -29,21 +29,23 @@ class Stage(IntEnum):
 
     PRESS = 0
     """On where a ball is and how large: of presses alone, nothing that the renderer applies."""
-    SURFACE = 1
+    GEL = 1
+    """On the gel's shape beside a press: of presses alone, too."""
+    SURFACE = 2
     """On the height map, before the look-up."""
-    SHADOW = 2
+    SHADOW = 3
     """On the light of each lamp, which the gel's relief may hide."""
-    FOCUS = 3
+    FOCUS = 4
     """On the sharpness of the picture."""
-    LIGHT = 4
+    LIGHT = 5
     """On the strength of the light."""
-    COLOR = 5
+    COLOR = 6
     """On the channels, which may leak into each other."""
-    EXPOSURE = 6
+    EXPOSURE = 7
     """On the camera's exposure."""
-    LENS = 7
+    LENS = 8
     """On what passes the lens."""
-    CAMERA = 8
+    CAMERA = 9
     """On the grey levels that the camera puts out."""
 
 
@@ -143,6 +145,8 @@ class OpticalCandidate:
         Whether it grows over the session: what else changes all presses alike cannot look so.
     evident : bool
         Whether something beside the error shows it: it is not one of many that are tried.
+    rigid : bool
+        Whether geometry gives its form, which bends to no other error of a table.
     """
 
     effect: str
@@ -152,6 +156,7 @@ class OpticalCandidate:
     starts: tuple[Mapping[str, float], ...] = (MappingProxyType({}),)
     over_session: bool = False
     evident: bool = False
+    rigid: bool = False
 
 
 class OpticalEffect:
@@ -165,7 +170,7 @@ class OpticalEffect:
         What ``diagnosis.json`` calls it, where it shares the name of another.
     stage : Stage
     parameters : mapping
-        Name → ``Parameter``; those of stage ``PRESS`` are never written into a table.
+        Name → ``Parameter``; those before stage ``SURFACE`` are never written into a table.
     """
 
     name: ClassVar[str]
@@ -198,6 +203,10 @@ class OpticalEffect:
     ) -> tuple[FloatArray, float]:
         """Expected centre and contact radius (3,) and ball radius of a press, changed."""
         return place_mm, ball_mm
+
+    def slope_factors(self, **values: float) -> tuple[tuple[float, float], ...]:
+        """Contact radii, and by what the slope there that a press adds is multiplied."""
+        return ()
 
     def candidates(self, scene: PressScene) -> list[OpticalCandidate]:
         """The ways in which these presses may show it."""
@@ -260,7 +269,7 @@ def check_effects(effects: Mapping[str, Mapping[str, float]]) -> None:
         problems += [
             f"effect {name!r} has no parameter {parameter!r}; it has {', '.join(effect.parameters)}"
             for parameter in parameters
-            if parameter not in effect.parameters and effect.stage > Stage.PRESS
+            if parameter not in effect.parameters and effect.stage > Stage.GEL
         ]
     TableError.raise_if(problems)
 

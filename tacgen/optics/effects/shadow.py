@@ -18,11 +18,18 @@ DEFAULT_STRENGTH = 0.8
 PENUMBRA_MM = 0.2
 """How far a ray must pass below the relief for its light to be hidden whole: a light 2 mm wide,
 25 mm away, behind an edge 2.5 mm away."""
+NEAR_PENUMBRA_MM = 0.5
+"""Of lamps that stand near: the same light 10 mm away."""
 
 LENGTHS_MM = (1.0, 2.0, 4.0, 7.0)
 """Shadows of 1 mm of relief that a fit tries: lights 45° to 8° above the gel."""
+NEAR_START = MappingProxyType({"length_mm": 2.0, "lamp_distance_mm": 10.0})
+"""Where a fit of near lamps begins: beside the gel, half as high as they are far."""
 FIRST_STRENGTH = 0.4
 """Where a fit begins: half of what is expected of a lamp at a side."""
+
+FAR_AWAY_MM = 1e4
+"""Where a lamp stands whose rays count as parallel."""
 
 _NOTHING_MM = np.float32(1e6)
 
@@ -30,45 +37,67 @@ _NOTHING_MM = np.float32(1e6)
 @njit(cache=True, nogil=True)
 def _sweep(
     height_mm: NDArray[Any],
-    across_px: float,
-    rise_mm: float,
-    downwards: bool,
+    lamp_row: float,
+    lamp_column: float,
+    lamp_mm: float,
     per_mm: float,
     shade: NDArray[Any],
 ) -> bool:
-    """Shade of a light met by going to the row before (downwards) or after, ``across_px`` aside.
+    """Add the shade of a lamp to the pixels that it reaches across rows rather than columns.
 
-    Returns whether there is any.
+    Those are fewer columns than rows from ``lamp_row`` and ``lamp_column``, px, above which it
+    stands by ``lamp_mm``. Returns whether there is any.
 
-    The lowest relief met on the way, lifted by the ray's rise, is carried along from row to row,
-    so that each pixel costs one step however long its shadow is.
+    The lowest relief met on the way from the lamp is carried on from row to row, along the ray
+    that goes past it, so that each pixel costs one step however long its shadow is.
     """
     n_rows, width = height_mm.shape
-    weight = np.float32(abs(across_px))
-    stay = np.float32(1) - weight
-    side = 1 if across_px >= 0 else -1
-    rise = np.float32(rise_mm)
-    met = np.full(width + 2, _NOTHING_MM, np.float32)
-    level = np.full(width, _NOTHING_MM, np.float32)
-    darkest = np.zeros(width, np.float32)
-    for i in range(n_rows):
-        r = i if downwards else n_rows - 1 - i
-        row, out = height_mm[r], shade[r]
-        aside, centre = met[1 + side :], met[1:]
-        if i > 0:
-            for k in range(width):
-                level[k] = (stay * centre[k] + weight * aside[k]) + rise
-        for k in range(width):
-            hidden = (row[k] - level[k]) * np.float32(per_mm)
-            out[k] = min(max(hidden, np.float32(0)), np.float32(1))
-            darkest[k] = max(darkest[k], out[k])
-        for k in range(width):
-            centre[k] = min(row[k], level[k])
-    return bool(darkest.any())
+    level = np.empty(width, np.float32)
+    dark = False
+    for outwards in (-1, 1):
+        met = np.full(width + 2, _NOTHING_MM, np.float32)
+        if outwards > 0:
+            r = max(math.ceil(lamp_row) + 1, 0)
+        else:
+            r = min(math.floor(lamp_row) - 1, n_rows - 1)
+        while 0 <= r < n_rows:
+            away = abs(r - lamp_row)
+            left = max(math.ceil(lamp_column - away), 0)
+            right = min(math.floor(lamp_column + away) + 1, width)
+            middle = min(max(math.ceil(lamp_column), left), right)
+            row, out = height_mm[r], shade[r]
+            per_column = np.float32(1 / away)
+            further = np.float32(1 / max(away - 1, 1e-3))
+            column, lamp = np.float32(lamp_column), np.float32(lamp_mm)
+            for k in range(left, middle):
+                weight = (column - np.float32(k)) * per_column
+                before = met[k + 1] + weight * (met[k + 2] - met[k + 1])
+                level[k] = before + (before + lamp) * further
+            for k in range(middle, right):
+                weight = (np.float32(k) - column) * per_column
+                before = met[k + 1] + weight * (met[k] - met[k + 1])
+                level[k] = before + (before + lamp) * further
+            for k in range(left, right):
+                hidden = min(
+                    max((row[k] - level[k]) * np.float32(per_mm), np.float32(0)), np.float32(1)
+                )
+                if hidden > 0 and abs(k - lamp_column) < away:
+                    out[k] += hidden
+                    dark = True
+            met[:] = _NOTHING_MM
+            for k in range(left, right):
+                met[k + 1] = min(row[k], level[k])
+            r += outwards
+    return dark
 
 
 def cast_shadow(
-    height_mm: NDArray[np.float32], mm_per_px: float, direction: tuple[float, float, float]
+    height_mm: NDArray[np.float32],
+    mm_per_px: float,
+    direction: tuple[float, float, float],
+    *,
+    lamp_distance_mm: float = 0.0,
+    middle_px: tuple[float, float] = (0.0, 0.0),
 ) -> NDArray[np.float32] | None:
     """How much of a light is hidden from each pixel: 0 in the open, 1 in full shadow.
 
@@ -80,25 +109,37 @@ def cast_shadow(
         The deformed gel surface, gel frame; the lights and the camera look at it from below.
     mm_per_px : float
     direction : tuple of float
-        Unit vector from the gel towards the light; its z counts as negative.
+        Unit vector from the gel's middle towards the light; its z counts as negative.
+    lamp_distance_mm : float
+        How far from the middle it stands, along the gel; 0 for far away.
+    middle_px : tuple of float
+        Row and column of the gel's middle in ``height_mm``.
 
     Source
     ------
-    Si & Yuan 2022, Taxim, §III-D steps rays from each light; this carries them row by row.
+    Si & Yuan 2022, Taxim, §III-D steps rays from each light; this carries them row by row, from a
+    lamp that may be near.
     """
     x, y, z = direction
     flat = math.hypot(x, y)
     if flat < 1e-6:
         return None
-    x, y, rise = x / flat, y / flat, abs(z) / flat
-    along_rows = abs(y) >= abs(x)
-    relief = height_mm if along_rows else np.ascontiguousarray(height_mm.T)
-    main, across = (y, x) if along_rows else (x, y)
-    shade = np.empty(relief.shape, dtype=np.float32)
-    step_mm = mm_per_px / abs(main)
-    if not _sweep(relief, across / abs(main), rise * step_mm, main < 0, 1 / PENUMBRA_MM, shade):
+    away_mm = lamp_distance_mm or FAR_AWAY_MM
+    row_px, column_px = (
+        middle + away_mm * part / flat / mm_per_px
+        for middle, part in zip(middle_px, (y, x), strict=True)
+    )
+    shade = np.zeros(height_mm.shape, dtype=np.float32)
+    across = np.zeros(height_mm.shape[::-1], dtype=np.float32)
+    lamp_mm = away_mm * abs(z) / flat
+    per_mm = 1 / (NEAR_PENUMBRA_MM if lamp_distance_mm else PENUMBRA_MM)
+    turned = np.ascontiguousarray(height_mm.T)
+    found = _sweep(height_mm, row_px, column_px, lamp_mm, per_mm, shade)
+    if _sweep(turned, column_px, row_px, lamp_mm, per_mm, across):
+        shade += across.T
+    elif not found:
         return None
-    return shade if along_rows else np.ascontiguousarray(shade.T)
+    return shade
 
 
 def shadow_reach_mm(depth_mm: float, leds: Leds) -> float:
@@ -143,19 +184,20 @@ def cast_shadows(
     height_mm: NDArray[np.float32],
     mm_per_px: float,
     leds: Leds,
-    strength: float,
+    strength: FloatArray,
     unlit: NDArray[np.float32],
     image: NDArray[np.float32],
+    **lamp: Any,
 ) -> None:
     """Darken ``image`` (h, w, 3) in place where the relief (h, w) hides lights.
 
-    A light that is wholly hidden loses ``strength`` of its share in what each channel has above
-    ``unlit`` (h, w, 3).
+    A light that is wholly hidden loses ``strength`` (3,) of its share in what each channel has
+    above ``unlit`` (h, w, 3). ``lamp`` is as for ``cast_shadow``.
     """
     total = np.maximum(np.sum([rgb for _, rgb in leds], axis=0), 1e-9)
     for direction, rgb in leds:
         share = (strength * np.asarray(rgb) / total).astype(np.float32)
-        shade = cast_shadow(height_mm, mm_per_px, direction)
+        shade = cast_shadow(height_mm, mm_per_px, direction, **lamp)
         if shade is not None:
             _darken(shade, share, unlit, image)
 
@@ -174,7 +216,9 @@ def _lowered(leds: Leds, length_mm: float) -> Leds:
 class Shadow(base.OpticalEffect):
     """The gel's relief hides a share of each light.
 
-    ``length_mm`` is that of the shadow of 1 mm of relief; 0 keeps the lights' own height.
+    ``strength`` is that of all colours, ``strength_r``, ``_g`` and ``_b`` those of each.
+    ``length_mm`` is that of the shadow of 1 mm of relief in the gel's middle; 0 keeps the lights'
+    own height. ``lamp_distance_mm`` is how far from there the lamps stand, 0 for far away.
     """
 
     name = "shadow"
@@ -182,16 +226,23 @@ class Shadow(base.OpticalEffect):
     parameters = MappingProxyType(
         {
             "strength": base.OpticalParameter(0.0, 0.0, 1.0, step=0.02),
+            **{
+                f"strength_{channel}": base.OpticalParameter(0.0, 0.0, 1.0, step=0.02)
+                for channel in base.CHANNELS
+            },
             "length_mm": base.OpticalParameter(0.0, 0.0, 20.0, "mm"),
+            "lamp_distance_mm": base.OpticalParameter(0.0, 0.0, 1000.0, "mm"),
         }
     )
 
     def prepare(self, table: LookupTable, leds: Leds, **values: float) -> dict[str, Any]:
         """The lights at their height, and the gel without them."""
         leds, length_mm = leds or leds_of_table(table), values.get("length_mm", 0.0)
+        every = values.get("strength", DEFAULT_STRENGTH)
         return {
             "leds": _lowered(leds, float(length_mm)) if length_mm else leds,
             "unlit": unlit_image(table),
+            "strengths": np.array([values.get(f"strength_{c}", every) for c in base.CHANNELS]),
         }
 
     def reach_mm(self, depth_mm: float, *, leds: Leds = (), **_: Any) -> float:
@@ -209,28 +260,41 @@ class Shadow(base.OpticalEffect):
         image: FloatArray,
         patch: base.Patch,
         *,
-        strength: float = DEFAULT_STRENGTH,
+        strengths: FloatArray | None = None,
+        lamp_distance_mm: float = 0.0,
         leds: Leds = (),
         unlit: FloatArray | None = None,
         **_: Any,
     ) -> None:
         """Darken what the relief of the patch hides."""
-        if patch.height_mm is not None and unlit is not None:
+        if patch.height_mm is not None and unlit is not None and strengths is not None:
             top, bottom, left, right = patch.window
+            height, width = unlit.shape[:2]
             cast_shadows(
                 np.ascontiguousarray(patch.height_mm),
                 patch.mm_per_px,
                 leds,
-                strength,
+                strengths,
                 unlit[top:bottom, left:right],
                 image,
+                lamp_distance_mm=lamp_distance_mm,
+                middle_px=((height - 1) / 2 - top, (width - 1) / 2 - left),
             )
 
     def candidates(self, scene: base.PressScene) -> list[base.OpticalCandidate]:
-        """One strength, and one of a few lengths."""
-        strength = {"strength": self.parameters["strength"]}
+        """Of lamps far away one strength, and one of a few lengths; of near ones all of it."""
+        far = {"strength": self.parameters["strength"]}
         starts = tuple({"strength": FIRST_STRENGTH, "length_mm": x} for x in LENGTHS_MM)
-        return [base.OpticalCandidate(self.name, "cast by the dent", strength, starts=starts)]
+        near = {f"strength_{c}": self.parameters[f"strength_{c}"] for c in base.CHANNELS}
+        start = {**dict.fromkeys(near, FIRST_STRENGTH), **NEAR_START}
+        near["length_mm"] = base.OpticalParameter(0.0, 0.5, 8.0, "mm", step=0.1)
+        near["lamp_distance_mm"] = base.OpticalParameter(0.0, 4.0, 40.0, "mm", step=0.5)
+        return [
+            base.OpticalCandidate(self.name, "cast by the dent", far, starts=starts),
+            base.OpticalCandidate(
+                self.name, "cast by the dent, lamps near", near, starts=(start,), rigid=True
+            ),
+        ]
 
 
 SHADOW = base.register(Shadow())

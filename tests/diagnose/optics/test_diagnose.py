@@ -107,6 +107,25 @@ def test_what_is_on_no_list_is_unexplained_and_says_what_it_follows(effect, cova
 
 
 @pytest.mark.slow
+def test_a_pattern_around_contacts_is_unexplained_and_said_to_follow_them():
+    """A ring that is bright on one side: no listed effect has its form."""
+    clean = presses("three", count=24)
+    rows, columns = np.mgrid[: clean.shape_px[0], : clean.shape_px[1]]
+    images = clean.images.astype(float)
+    for image, (x, y), radius in zip(images, clean.center_px, clean.radius_px, strict=True):
+        distance = np.hypot(columns - x, rows - y) / radius
+        side = (columns - x) / np.maximum(distance * radius, 1e-9)
+        ring = np.exp(-(((distance - 1.7) / 0.2) ** 2))
+        image += (8.0 * ring * side**2)[..., None] * [1.0, -1.0, 0.5]
+    changed = replace(clean, images=np.rint(np.clip(images, 0, 255)).astype(np.uint8))
+    diagnosis = diagnose_optics(changed, table_of_before("three"))
+    assert diagnosis.verdict == "unexplained"
+    assert "distance_and_direction" in [one.covariate for one in diagnosis.unexplained]
+    # Of 8 grey levels, their mean over the ring's width and both sides, in three colours.
+    assert diagnosis.unexplained[0].gain > 1.0
+
+
+@pytest.mark.slow
 def test_pictures_out_of_focus_are_blurred():
     clean = presses("three")
     images = gaussian_filter(clean.images.astype(float), (0, 1.5, 1.5, 0))
