@@ -38,9 +38,7 @@ def main() -> None:
     """Print a Markdown table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("presses", nargs="+", type=Path)
-    sys.stdout.write(
-        "| presses | verdict, follows | effects | error | around contacts |\n"
-    )
+    sys.stdout.write("| presses | verdict, follows | effects | error | around contacts |\n")
     sys.stdout.write("|---|---|---|---|---|\n")
     for path in parser.parse_args().presses:
         found = diagnose_optics(usable_presses(read_presses(path)))
