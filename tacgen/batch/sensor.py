@@ -45,6 +45,10 @@ class BatchFrame:
         Deepest indentation beyond first touch; 0 where nothing touches.
     saturated : (N,) bool
         Whether the gel is pressed through to its backing.
+    force_n, total_force_n : (N, 3) float64
+        Force along x, y and into the gel, N: the share of the contact that the picture shows, and
+        all of it, beside the window too. 0 where nothing touches, NaN where the indentation was
+        given.
     slides : (N,) bool
         Whether the shear asked for is more than friction holds: the object slides, and the gel
         moves no farther. ``friction`` of the contact law says how rough they are.
@@ -57,6 +61,8 @@ class BatchFrame:
     contact_mask: Any
     indentation_mm: Any
     saturated: Any
+    force_n: Any
+    total_force_n: Any
     slides: Any
     markers_mm: Any = None
 
@@ -288,5 +294,14 @@ class BatchSensor:
 
     def _frame(self, kind: str, loads: Loads | None = None) -> BatchFrame:
         self._calls += 1
-        slides = np.zeros(self.n, bool) if loads is None else loads.slides
-        return BatchFrame(**self._worlds.frames(kind), slides=self._worlds.out(slides, kind))
+        out, shown = self._worlds.out, self._worlds.shares()[:, None]
+        slides, force_n = np.zeros(self.n, bool), np.full((self.n, 3), np.nan)
+        if loads is not None:
+            slides, force_n = loads.slides, np.column_stack([loads.pulls[:, :2], loads.force_n])
+            force_n = np.where(np.isnan(shown), 0.0, force_n)
+        return BatchFrame(
+            **self._worlds.frames(kind),
+            force_n=out(np.nan_to_num(shown) * force_n, kind),
+            total_force_n=out(force_n, kind),
+            slides=out(slides, kind),
+        )

@@ -43,6 +43,7 @@ class ThreadWorlds:
         self._depth_mm = np.zeros((n, height, width), np.float32)
         self._contact_mask = np.zeros((n, height, width), bool)
         self._indentation_mm, self._saturated = np.zeros(n, np.float32), np.zeros(n, bool)
+        self._shares = np.zeros(n)
         self._markers_mm: NDArray[np.float32] | None = None
         if first.draws_markers:
             self._markers_mm = np.zeros((n, len(first.marker_rest_mm), 2), np.float32)
@@ -71,6 +72,10 @@ class ThreadWorlds:
         if self._markers_mm is not None:
             found["markers_mm"] = self._markers_mm
         return {name: as_kind(array, kind) for name, array in found.items()}
+
+    def shares(self) -> NDArray[np.float64]:
+        """The part of each world's pressure that acts in the window, (N,); NaN without contact."""
+        return self._shares
 
     @property
     def n_meshes(self) -> int:
@@ -143,6 +148,8 @@ class ThreadWorlds:
         np.greater(depth_mm, 0.0, out=self._contact_mask[world])
         self._indentation_mm[world] = imprint.indentation_mm
         self._saturated[world] = imprint.saturated
+        touches = imprint.depth_mm.any() or imprint.beside_depth_mm.any()
+        self._shares[world] = imprint.share if touches else np.nan
         rng = None
         if self._seed is not None:
             key = np.random.SeedSequence(self._seed, spawn_key=(call, world))

@@ -135,7 +135,7 @@ class WarpWorlds:
         p.wrong, p.asked = self._put([n], wp.int32), zeros(n, wp.float64)
         p.rgb, p.depth_mm = zeros((n, h, w, 3), wp.uint8), zeros((n, h, w), wp.float32)
         p.contact_mask, p.saturated = zeros((n, h, w), wp.bool), zeros(n, wp.bool)
-        p.beside_mm3, p.indentation_mm = zeros(b, wp.float64), zeros(n, wp.float32)
+        p.beside_mm3, p.indentation_mm = zeros(n, wp.float64), zeros(n, wp.float32)
         p.zero_mm, p.delta, p.deepest = (zeros(b, wp.float64) for _ in range(3))
         p.gap_mm, p.grains = zeros((b, h, w), wp.float64), zeros((b, h, w), wp.int32)
         p.patches, p.deepest_mm = zeros(b, wp.vec4i), zeros(b, wp.float32)
@@ -297,6 +297,16 @@ class WarpWorlds:
         names = ["rgb", "depth_mm", "contact_mask", "indentation_mm", "saturated"]
         names += ["markers_mm"] if self.worlds.n_markers else []
         return {name: self._as_kind(getattr(self.worlds, name), kind) for name in names}
+
+    def shares(self) -> NDArray[np.float64]:
+        """The part of each world's pressure that acts in the window, (N,); NaN without contact."""
+        beside_mm3, area_mm2 = self.worlds.beside_mm3.numpy(), self._sensor.pixel_area_mm2
+        shares = np.where(self.worlds.indentation_mm.numpy() > 0.0, 1.0, np.nan)
+        for world in np.flatnonzero(beside_mm3):  # the maps of the others stay on the device
+            depth_mm = self.worlds.depth_mm[int(world)].numpy()
+            shown_mm3 = float(depth_mm.sum(dtype=np.float64)) * area_mm2
+            shares[world] = shown_mm3 / (shown_mm3 + beside_mm3[world])
+        return shares
 
     @property
     def n_meshes(self) -> int:
@@ -481,7 +491,7 @@ class WarpWorlds:
             if total <= 0.0:
                 return
             shown_mm3, load = total * self._sensor.pixel_area_mm2, loads.of(world)
-            share = shown_mm3 / (shown_mm3 + float(beside_mm3[w]))
+            share = shown_mm3 / (shown_mm3 + float(beside_mm3[world]))
             weight = sums[w] / total
             state = shear.step(lambda: weight, load, share, before)
             if state is not None:

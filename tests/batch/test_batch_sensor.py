@@ -81,6 +81,30 @@ def test_markers_are_where_one_sensor_has_them(shadows, device):
     assert difference.other == []
 
 
+def test_forces_are_those_of_one_sensor(device):
+    """Within the window, half beside it, and nowhere near; the third with a force of 0 too."""
+    sensor, batch = tacgen.Sensor("gelsight_mini"), make_batch(4, device=device)
+    ball = trimesh.creation.icosphere(4, 8.0)
+    half_mm = sensor.description.shape_px[1] * sensor.description.mm_per_px / 2
+    poses = [trimesh.transformations.translation_matrix((x, 0, 8)) for x in (0, half_mm, 60, 1)]
+    force_n, shear_n = (
+        np.array([4.0, 3.0, 2.0, 0.0]),
+        np.array([[0.5, -0.2], [0, 0.3], [0, 0], [0, 0]]),
+    )
+    ids = np.full(4, batch.add_mesh(ball))
+    out = batch.render_meshes(ids, np.array(poses), force_n, shear_n)
+    assert not out.total_force_n[2].any()
+    for k in (0, 1, 3):
+        frame = sensor.render(ball, poses[k], force_n[k], tuple(shear_n[k]))
+        np.testing.assert_allclose(out.total_force_n[k], frame.total_force_n, atol=1e-9)
+        # Grains of 2^-20 mm carry the share to 1e-4.
+        np.testing.assert_allclose(out.force_n[k], frame.force_n, rtol=1e-4, atol=1e-9)
+    assert 0.2 < out.force_n[1, 2] / out.total_force_n[1, 2] < 0.8
+    gaps = np.full((4, *sensor.description.shape_px), np.inf, np.float32)
+    assert not batch.render(gaps, force_n).total_force_n.any()
+    assert np.isnan(batch.render_depth(np.zeros_like(gaps)).force_n).all()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["gelsight_mini", "gelsight"])
 def test_shear_moves_object_and_markers_as_of_one_sensor(name, device):
