@@ -21,7 +21,7 @@ endef
 PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= \
 	$(BIN)/python -m pytest -n $(shell echo $$(($$(getconf _NPROCESSORS_ONLN) + 1))) --dist worksteal
 
-.PHONY: setup demo network test test-fast coverage slowest check format docs docs-serve bench trust \
+.PHONY: setup demo network test test-all test-fast coverage slowest check format docs docs-serve bench trust \
 	lock clean
 
 setup: $(READY)
@@ -52,6 +52,9 @@ network: setup
 	@echo "Ask it: .venv/bin/tacgen predict out/network IMAGE... --object cup"
 
 test: setup
+	$(PYTEST) -m "not exhaustive"
+
+test-all: setup
 	$(PYTEST)
 
 test-fast: setup

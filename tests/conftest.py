@@ -22,11 +22,18 @@ def pytest_report_header() -> str:
 
 
 LONGEST = ("test_docs.py", "test_slurm.py")
+EXHAUSTIVE = ("fuzz", "slurm", "validation", "faults/test_random_kills.py")
+"""Folders and files of ``tests/`` that ``make test`` leaves to ``make test-all``."""
 
 
+@pytest.hookimpl(tryfirst=True)  # before ``-m`` chooses
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The longest tests first: one that starts last keeps a process waiting for the other."""
     items.sort(key=lambda item: item.path.name not in LONGEST)
+    for item in items:
+        place = item.path.relative_to(Path(__file__).parent).as_posix()
+        if any(place == one or place.startswith(f"{one}/") for one in EXHAUSTIVE):
+            item.add_marker("exhaustive")
 
 
 @pytest.fixture(scope="session", autouse=True)
