@@ -171,7 +171,7 @@ def shift_beside_effects(log: PressLog, trials: Sequence[int]) -> tuple[float, f
         return shifts, columns, instruments, volume, weight
 
     # Each press may begin elsewhere without any effect.
-    _, columns, instruments, volume, weight = fitted(own_press.astype(np.float64))
+    own, columns, instruments, volume, weight = fitted(own_press.astype(np.float64))
     found, spread = _by_instruments(columns, instruments, volume, numbers)
     effects = slice(len(trials), len(trials) + N_TAUS + 1)
     is_effect = _p_of_none(found[effects], spread[effects, effects], len(trials)) < EFFECT_P
@@ -181,7 +181,9 @@ def shift_beside_effects(log: PressLog, trials: Sequence[int]) -> tuple[float, f
         volume,
         numbers,
     )
-    is_bent = _p_of_none(bent[:2], bent_spread[:2, :2], len(trials)) < BENT_P
+    # Stiffening shifts all presses alike; those that scatter about 0 begin elsewhere by themselves.
+    is_alike = float(np.std(own)) < abs(float(np.mean(own)))
+    is_bent = is_alike and _p_of_none(bent[:2], bent_spread[:2, :2], len(trials)) < BENT_P
     if not (is_effect or is_bent):
         return None
     shifts, columns, instruments, volume, weight = fitted(np.ones((len(depth), 1)))
