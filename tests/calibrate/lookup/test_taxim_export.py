@@ -1,5 +1,6 @@
 """A table in Taxim's form renders in Taxim what it renders here."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,8 +29,9 @@ def surface_mm(shape, mm_per_px, x, y):
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
-    """The shipped DIGIT's table, light of any course in position, and its export."""
+    """The coefficients of the shipped DIGIT's table, which are of Taxim's form, and their export."""
     table = load_table(tacgen.Sensor("digit").description.table)
+    table = replace(table, response=None, contact=None)
     folder = tmp_path_factory.mktemp("export") / "taxim"
     return table, folder, export_taxim(table, folder)
 
