@@ -29,7 +29,7 @@ def surface_mm(shape, mm_per_px, x, y):
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
-    """The coefficients of the shipped DIGIT's table, which are of Taxim's form, and their export."""
+    """The coefficients of the shipped DIGIT's table, of Taxim's form, and their export."""
     table = load_table(tacgen.Sensor("digit").description.table)
     table = replace(table, response=None, contact=None)
     folder = tmp_path_factory.mktemp("export") / "taxim"
