@@ -431,7 +431,8 @@ def pose_problem(pose: Float64) -> str:
     lengths = np.linalg.norm(pose[:3, :3], axis=0)
     if np.abs(lengths - 1.0).max() > ROTATION_TOLERANCE:
         sizes = ", ".join(f"{one:.4g}" for one in lengths)
-        return f"is no rotation: its axes are {sizes} long, not 1; a pose turns and moves"
+        fix = "scale a mesh itself: a pose turns and moves"
+        return f"is no rotation: its axes are {sizes} long, not 1; {fix}"
     if np.linalg.det(pose[:3, :3]) < 0:
         return "is no rotation: it mirrors (its determinant is -1); turn one of its axes round"
     return "is no rotation: its axes are not at right angles"
