@@ -421,10 +421,9 @@ def pose_problem(pose: Float64) -> str:
     """What is wrong with a pose, with the fix; empty if it is a rotation and a translation."""
     if pose.shape == (4, 4) and _is_rigid(pose):
         return ""
-    if pose.shape != (4, 4):
-        return f"of shape {pose.shape} is not (4, 4) finite numbers"
-    if not np.isfinite(pose).all():
-        return "holds values that are not finite"
+    if pose.shape != (4, 4) or not np.isfinite(pose).all():
+        wrong = f"of shape {pose.shape} is not (4, 4) finite numbers"
+        return wrong if pose.shape != (4, 4) else "holds values that are not finite"
     if not np.allclose(pose[3], [0.0, 0.0, 0.0, 1.0], atol=ROTATION_TOLERANCE):
         row = ", ".join(f"{one:g}" for one in pose[3])
         return f"has the last row {row} instead of 0, 0, 0, 1; was it transposed?"
