@@ -480,6 +480,8 @@ def test_an_array_of_another_device(pair):
     ],
 )
 def test_batches_that_cannot_be(options, message):
+    if options.get("device", "cpu") != "cpu":
+        pytest.importorskip("warp")
     arguments = {"name": "digit", "n": 2, "device": "cpu"} | options
     with pytest.raises(SensorError, match=message):
         tacgen.BatchSensor(**arguments)
