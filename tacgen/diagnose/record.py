@@ -25,11 +25,11 @@ def verdict_of(found: object, remaining: object) -> Verdict:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What a channel's diagnosis says in short, by errors on ``held`` units that took no part.
+    """What a channel's diagnosis says in short, by errors on ``held`` held-out units.
 
     ``subject`` is the model without effects, ``lacking`` are the effects that were found, in words,
-    ``remaining`` the covariates that the residual still follows. Where the errors are of a choice
-    repeated without the held-out units that came out otherwise, ``instead`` are its effects.
+    ``remaining`` the covariates that the residual still follows. ``instead`` are the effects that
+    the selection found where it was repeated without the held-out units, if they are others.
     """
 
     subject: str

@@ -129,9 +129,9 @@ def shift_beside_effects(log: PressLog, trials: Sequence[int]) -> tuple[float, f
 
     Volume = k F + creep and the way back, with the k of each press and one shift of all depths, by
     instruments as in ``_fit_press``; a depth's noise is the same at all depths, so that rows are
-    weighted by 1 / area. Where the gel stiffens too, a shift cannot be told from it: there only a
-    depth that presses begin with before they have a force shows one. None where presses show no
-    effect, or are too few to show any.
+    weighted by 1 / area. Stiffening looks like a shift: beside it, only a depth that presses begin
+    with before they have a force shows one. None where presses show no effect, or are too few to
+    show any.
     """
     if len(trials) < FEW_TRIALS:
         return None

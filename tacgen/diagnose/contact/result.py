@@ -199,14 +199,16 @@ def _effect(found: ChannelDiagnosis, chosen: Chosen, term: Term) -> dict[str, An
 
 def _unexplained(found: ChannelDiagnosis, dependence: Dependence) -> dict[str, Any]:
     """What the residual depends on; with what else explains it, if it was chosen as effects are."""
-    told = _dependence(found, dependence)
+    reported = _dependence(found, dependence)
     for chosen in found.attribution.chosen:
         name = chosen.candidate.name
         if name == dependence.covariate and not chosen.candidate.is_effect:
-            told["runner_up"] = chosen.runner_up
-            told["runner_up_margin"] = finite(chosen.runner_up_margin)
-            told["separating_measurements"] = [advice(name, other) for other in chosen.confusable]
-    return told
+            reported["runner_up"] = chosen.runner_up
+            reported["runner_up_margin"] = finite(chosen.runner_up_margin)
+            reported["separating_measurements"] = [
+                advice(name, other) for other in chosen.confusable
+            ]
+    return reported
 
 
 def shown_parameters(term: Term) -> dict[str, float]:

@@ -99,7 +99,7 @@ class MarkerDiagnosis(record.Summarised):
     def record(self) -> dict[str, Any]:
         """The channel ``markers`` of ``diagnosis.json``."""
 
-        def told(one: Estimate) -> dict[str, Any]:
+        def reported(one: Estimate) -> dict[str, Any]:
             return record.estimate(one.value, one.stderr, one.unit)
 
         return record.channel_record(
@@ -107,7 +107,7 @@ class MarkerDiagnosis(record.Summarised):
             effects=[
                 {
                     "name": name,
-                    "parameters": {key: told(one) for key, one in parameters.items()},
+                    "parameters": {key: reported(one) for key, one in parameters.items()},
                     "heldout_gain": self.gains[name],
                     "runner_up": self.runner_up.get(name, ""),
                 }
@@ -123,7 +123,7 @@ class MarkerDiagnosis(record.Summarised):
                 "second differences of a dot's place over the frames of a press",
             ),
             trials=(len(self.data.presses) - self.n_test, self.n_test),
-            field={"k_s": told(self.k_s), "decay_mm": told(self.decay)},
+            field={"k_s": reported(self.k_s), "decay_mm": reported(self.decay)},
         )
 
 
@@ -156,7 +156,7 @@ def diagnose_markers(
     final, linear, stderr = refined(data, slip.grip, free(slip.members))
     pitch2, offset = tracks.pitch_mm**2, grid.offset_mm(beside)
     after_mm = float(np.sqrt(losses[-1] / len(seen)))
-    rivals = {one.members[0] for one in steps[0].tried if friction.accepts(one, one.members[0])}
+    competing = {one.members[0] for one in steps[0].tried if friction.accepts(one, one.members[0])}
     first = slip.members[:1]
     return MarkerDiagnosis(
         data=data,
@@ -164,7 +164,7 @@ def diagnose_markers(
         final=final,
         effects={name: _parameters(name, final, stderr, grid) for name in order},
         gains={n: 1.0 - b / a for n, a, b in zip(order, losses, losses[1:], strict=False)},
-        runner_up={name: other for name in first for other in rivals - {name}},
+        runner_up={name: other for name in first for other in competing - {name}},
         before_mm=float(np.sqrt(losses[0] / len(seen))),
         after_mm=after_mm,
         motion_mm=float(np.sqrt((seen**2).mean())),
