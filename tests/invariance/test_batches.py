@@ -12,8 +12,6 @@ from tacgen.contact.law import ContactLaw, FittedEffect
 from tacgen.core.errors import ContactError, SensorError
 from tacgen.core.records import Estimate
 
-pytest.importorskip("warp")
-
 CREEP = FittedEffect(
     "creep",
     "normal",
