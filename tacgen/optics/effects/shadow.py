@@ -30,6 +30,7 @@ FIRST_STRENGTH = 0.4
 
 FAR_AWAY_MM = 1e4
 """Where a lamp stands whose rays count as parallel."""
+LEAST_PX = 1e-6  # so that no pixel is reached both across rows and across columns
 
 _NOTHING_MM = np.float32(1e6)
 
@@ -41,20 +42,23 @@ def _sweep(
     lamp_column: float,
     lamp_mm: float,
     per_mm: float,
+    least: float,
     shade: NDArray[Any],
 ) -> bool:
-    """Add the shade of a lamp to the pixels that it reaches across rows rather than columns.
+    """Shade of a lamp at the pixels that it reaches across rows rather than columns.
 
-    Those are fewer columns than rows from ``lamp_row`` and ``lamp_column``, px, above which it
-    stands by ``lamp_mm``. Returns whether there is any.
+    Those are ``least`` columns fewer than rows, or more, from ``lamp_row`` and ``lamp_column``,
+    px, above which it stands by ``lamp_mm``; the others of ``shade`` stay. Returns whether there is
+    any.
 
     The lowest relief met on the way from the lamp is carried on from row to row, along the ray
     that goes past it, so that each pixel costs one step however long its shadow is.
     """
     n_rows, width = height_mm.shape
-    level = np.empty(width, np.float32)
-    dark = False
+    level, darkest = np.empty(width, np.float32), np.zeros(width, np.float32)
+    column, lamp, steep = np.float32(lamp_column), np.float32(lamp_mm), np.float32(per_mm)
     for outwards in (-1, 1):
+        # Rows farther away reach more columns: beyond these, nothing was met yet.
         met = np.full(width + 2, _NOTHING_MM, np.float32)
         if outwards > 0:
             r = max(math.ceil(lamp_row) + 1, 0)
@@ -62,33 +66,32 @@ def _sweep(
             r = min(math.floor(lamp_row) - 1, n_rows - 1)
         while 0 <= r < n_rows:
             away = abs(r - lamp_row)
-            left = max(math.ceil(lamp_column - away), 0)
-            right = min(math.floor(lamp_column + away) + 1, width)
+            left = min(max(math.ceil(lamp_column - away + least), 0), width)
+            right = max(min(math.floor(lamp_column + away - least) + 1, width), left)
             middle = min(max(math.ceil(lamp_column), left), right)
-            row, out = height_mm[r], shade[r]
-            per_column = np.float32(1 / away)
-            further = np.float32(1 / max(away - 1, 1e-3))
-            column, lamp = np.float32(lamp_column), np.float32(lamp_mm)
-            for k in range(left, middle):
-                weight = (column - np.float32(k)) * per_column
-                before = met[k + 1] + weight * (met[k + 2] - met[k + 1])
-                level[k] = before + (before + lamp) * further
-            for k in range(middle, right):
-                weight = (np.float32(k) - column) * per_column
-                before = met[k + 1] + weight * (met[k] - met[k + 1])
-                level[k] = before + (before + lamp) * further
-            for k in range(left, right):
-                hidden = min(
-                    max((row[k] - level[k]) * np.float32(per_mm), np.float32(0)), np.float32(1)
-                )
-                if hidden > 0 and abs(k - lamp_column) < away:
-                    out[k] += hidden
-                    dark = True
-            met[:] = _NOTHING_MM
-            for k in range(left, right):
-                met[k + 1] = min(row[k], level[k])
+            aside, further = np.float32(1 / away), np.float32(1 / max(away - 1, 1e-3))
+            # Loops from 0 over slices are worked on as vectors.
+            here, beyond = met[left + 1 : middle + 1], met[left + 2 : middle + 2]
+            first, out = column - np.float32(left), level[left:middle]
+            for k in range(out.shape[0]):
+                before = here[k] + (first - np.float32(k)) * aside * (beyond[k] - here[k])
+                out[k] = before + (before + lamp) * further
+            here, beyond = met[middle + 1 : right + 1], met[middle:right]
+            first, out = np.float32(middle) - column, level[middle:right]
+            for k in range(out.shape[0]):
+                before = here[k] + (first + np.float32(k)) * aside * (beyond[k] - here[k])
+                out[k] = before + (before + lamp) * further
+            row, out, ray = height_mm[r, left:right], shade[r, left:right], level[left:right]
+            most = darkest[left:right]
+            for k in range(out.shape[0]):
+                hidden = min(max((row[k] - ray[k]) * steep, np.float32(0)), np.float32(1))
+                out[k] = hidden
+                most[k] = max(most[k], hidden)
+            here = met[left + 1 : right + 1]
+            for k in range(out.shape[0]):
+                here[k] = min(row[k], ray[k])
             r += outwards
-    return dark
+    return bool(darkest.any())
 
 
 def cast_shadow(
@@ -129,17 +132,22 @@ def cast_shadow(
         middle + away_mm * part / flat / mm_per_px
         for middle, part in zip(middle_px, (y, x), strict=True)
     )
+    lamp = away_mm * abs(z) / flat, 1 / (NEAR_PENUMBRA_MM if lamp_distance_mm else PENUMBRA_MM)
+    n_rows, n_columns = height_mm.shape
+    # How far the window's edges are from the lamp: most windows are reached in one way alone.
+    rows_px, columns_px = (
+        (abs(min(max(at, 0), n - 1) - at), max(abs(at), abs(n - 1 - at)))
+        for at, n in ((row_px, n_rows), (column_px, n_columns))
+    )
     shade = np.zeros(height_mm.shape, dtype=np.float32)
-    across = np.zeros(height_mm.shape[::-1], dtype=np.float32)
-    lamp_mm = away_mm * abs(z) / flat
-    per_mm = 1 / (NEAR_PENUMBRA_MM if lamp_distance_mm else PENUMBRA_MM)
-    turned = np.ascontiguousarray(height_mm.T)
-    found = _sweep(height_mm, row_px, column_px, lamp_mm, per_mm, shade)
-    if _sweep(turned, column_px, row_px, lamp_mm, per_mm, across):
-        shade += across.T
-    elif not found:
-        return None
-    return shade
+    found = rows_px[1] >= columns_px[0] and _sweep(height_mm, row_px, column_px, *lamp, 0.0, shade)
+    if columns_px[1] > rows_px[0]:
+        turned = np.ascontiguousarray(height_mm.T)
+        across = np.zeros(turned.shape, dtype=np.float32)
+        if _sweep(turned, column_px, row_px, *lamp, LEAST_PX, across):
+            shade = shade + across.T if found else np.ascontiguousarray(across.T)
+            found = True
+    return shade if found else None
 
 
 def shadow_reach_mm(depth_mm: float, leds: Leds) -> float:
