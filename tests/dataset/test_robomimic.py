@@ -55,6 +55,14 @@ def test_one_frame_is_its_own_next(tmp_path):
         np.testing.assert_array_equal(demo["next_obs/left_rgb"], demo["obs/left_rgb"])
 
 
+def test_nothing_in_it_tells_when_it_was_written(exported):
+    with h5py.File(exported[1]) as file:
+        objects = [file["/"]]
+        file.visititems(lambda _, found: objects.append(found))
+        assert any(isinstance(found, h5py.Dataset) and found.is_virtual for found in objects)
+        assert not [found.name for found in objects if h5py.h5g.get_objinfo(found.id).mtime]
+
+
 @pytest.fixture
 def robomimic(monkeypatch):
     pytest.importorskip("torch")

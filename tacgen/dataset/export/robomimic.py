@@ -117,11 +117,26 @@ def _write_array(demo: h5py.Group, name: str, field: Field, values: NDArray[Any]
 
 
 def write_next(demo: h5py.Group) -> None:
-    """What is observed a frame later, as views into the demonstration's ``obs``."""
+    """What is observed a frame later, as views into the demonstration's ``obs``.
+
+    Not by h5py's ``create_virtual_dataset``, which writes the time of creation: two exports of a
+    dataset have the same bytes.
+    """
+    following = demo.create_group("next_obs")
     for name, observed in demo["obs"].items():
-        layout = h5py.VirtualLayout(observed.shape, observed.dtype)
-        source = h5py.VirtualSource(".", observed.name, observed.shape, observed.dtype)
-        if len(observed) > 1:
-            layout[:-1] = source[1:]
-        layout[-1:] = source[-1:]
-        demo.create_virtual_dataset(f"next_obs/{name}", layout)
+        created = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        created.set_obj_track_times(False)
+        last = len(observed) - 1
+        for shown, source, count in ((0, 1, last), (last, last, 1)):
+            if count:
+                view, of = (_frames(observed.shape, first, count) for first in (shown, source))
+                created.set_virtual(view, b".", observed.name.encode(), of)
+        whole = h5py.h5s.create_simple(observed.shape)
+        h5py.h5d.create(following.id, name.encode(), observed.id.get_type(), whole, created)
+
+
+def _frames(shape: tuple[int, ...], first: int, count: int) -> h5py.h5s.SpaceID:
+    """The HDF5 selection of ``count`` frames of an array (T, …)."""
+    space = h5py.h5s.create_simple(shape)
+    space.select_hyperslab((first, *(0 for _ in shape[1:])), (count, *shape[1:]))
+    return space
