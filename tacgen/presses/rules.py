@@ -60,18 +60,10 @@ class LogRules:
     # for newtons are 9.8 times less
 
     # Rows that are independent readings
-    most_rows: int = 20  # that noise is said to go on for
-    least_rows: int = 4  # that a typical press keeps then: fewer have no course
-    least_trials: int = 8  # to tell noise that goes on from an effect, which few presses share
     least_runs: int = 20  # of readings that a judgement needs
     standing_share: float = 0.5  # of readings, between clear changes, that stand in two rows
     clear_steps: float = 4.0  # of a column's resolution: a smaller change is often none by chance
     moving_share: float = 0.3  # of the other column's course that goes on while a reading stands
-    white_share: float = 0.82  # of the noise of rows further apart that neighbours have if theirs
-    # is independent
-    noise_share: float = 0.4  # of second differences that fourth ones have, of noise; of a course,
-    # hardly any
-    correlated_share: float = 0.5  # below it neighbours' noise is correlated; briefly, it has 0.7
 
     # Printed dots
     jump_pitches: float = 0.5  # off its neighbours' motion: another dot
