@@ -31,11 +31,6 @@ from tacgen.presses.rules import IMAGES
 GS_SDK_MM_PER_PX = 0.0634
 """GelSight Mini at 320 × 240 px, from gs_sdk's ``gsmini.yaml`` (called ``ppmm`` there)."""
 MAX_ABOUT_BYTES = 1 << 20  # of a file with a few numbers
-MAX_BACKGROUND_PICTURES = 101
-"""Pictures whose median stands in for a background: more change no grey level."""
-LABEL_OFF = 0.2
-"""A derived circle is contradicted where radius or centre are off by this share of the circle that
-the picture shows: on pressed balls that one is 3 to 6 % wide and its centre within 2 %."""
 
 Parts = tuple[str, ...]
 
@@ -229,6 +224,7 @@ def _contradicted(
     most trials' are wrong, so is the rule that they were derived by, and all are.
     """
     wrong, ratios, checked = np.zeros(len(circles), bool), [], 0
+    off = IMAGES.derived_off_share
     for one in np.unique(trial[np.isfinite(circles).all(axis=1)]):
         rows = trial == one
         x, y, radius = circles[np.argmax(rows)]
@@ -238,8 +234,8 @@ def _contradicted(
         checked += 1
         ratios.append(radius / seen.edge_px)
         apart = np.hypot(seen.center_px[0] - x, seen.center_px[1] - y)
-        sized = 1 - LABEL_OFF < ratios[-1] < 1 / (1 - LABEL_OFF)
-        wrong[rows] = not sized or apart > LABEL_OFF * seen.edge_px
+        sized = 1 - off < ratios[-1] < 1 / (1 - off)
+        wrong[rows] = not sized or apart > off * seen.edge_px
     if not wrong.any() or checked < IMAGES.min_presses:
         return np.zeros_like(wrong), ""
     share = len(np.unique(trial[wrong])) / checked
@@ -312,7 +308,7 @@ def read_gelsight_mini_pretrain(
     columns, about = _pretrain_columns(table[ball], radius_mm, source)
     notes += about
     row = np.nonzero(ball)[0]
-    chosen = row[:: max(1, len(row) // MAX_BACKGROUND_PICTURES)]
+    chosen = row[:: max(1, len(row) // IMAGES.background_pictures)]
     few = [rgb for _, rgb in _parquet_images(files, chosen)]
     median = np.median(np.stack(_of_one_size(few, [source] * len(few))), axis=0)
     warnings: Parts = ()

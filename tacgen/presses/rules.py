@@ -83,6 +83,15 @@ class LogRules:
 class ImageRules:
     """Thresholds of reading press images; *radii* are of the contact's circle."""
 
+    # What ball radii and widths of a picture can be: others are in another unit
+    balls_mm: tuple[float, float] = (0.1, 200.0)
+    widths_mm: tuple[float, float] = (1.0, 150.0)
+
+    # Sets of other toolkits
+    background_pictures: int = 101  # whose median stands in for a background: more change no level
+    derived_off_share: float = 0.2  # of the circle that is seen, by which one derived from a depth
+    # may be off: on pressed balls the seen one is 3 to 6 % wide and its centre within 2 %
+
     # The contact's circle
     work_width_px: int = 160  # images are looked at this wide: a circle needs no more
     dark_grey: float = 25.0  # change is against the light at its place, plus this much: in dark

@@ -24,10 +24,6 @@ from tacgen.presses.experiments import is_clear
 from tacgen.presses.geometry import MAX_RADIUS_SHARE, Membrane, PressedGel, rest_height, rest_slope
 from tacgen.presses.press_images import PressImages, label_mm, place_mm
 
-ROUGH_DEGREE, ROUGH_POSITION_DEGREE, ROUGH_RIDGE = 4, 3, 1e-4
-"""Presses are placed with a model of at most these degrees and at least this ridge: a stiffer one
-moves contacts to explain light, a softer one bends to explain contacts out of place."""
-
 LABEL_SCATTER_RADII = np.array(
     [RULES.center_scatter_radii, RULES.center_scatter_radii, RULES.radius_scatter_radii]
 )
@@ -259,9 +255,9 @@ def place_jointly(
     thinned = prepared.samples(background, RULES.pixels_to_place)
     labels = np.array([sample.label for sample in thinned])
     rough = FitSettings(
-        min(settings.degree, ROUGH_DEGREE),
-        min(settings.position_degree, ROUGH_POSITION_DEGREE),
-        max(settings.ridge, ROUGH_RIDGE),
+        min(settings.degree, RULES.rough_settings.degree),
+        min(settings.position_degree, RULES.rough_settings.position_degree),
+        max(settings.ridge, RULES.rough_settings.ridge),
         settings.bend,
     )
     if start is None:

@@ -86,6 +86,9 @@ class LookupRules:
     n_folds: int = 5  # of whole presses, to choose and to score
 
     # How a press is placed
+    rough_settings: FitSettings = FitSettings(degree=4, position_degree=3, ridge=1e-4)  # by a model
+    # of at most these degrees and at least this ridge: a stiffer one moves contacts to explain
+    # light, a softer one bends to explain contacts out of place
     expected_radius_share: float = 0.95  # of the ball's radius, the largest expected contact: a fit
     # may still go up to ``MAX_RADIUS_SHARE``
     largest_step_radii: float = 0.06  # of a Gauss–Newton step: the model is linear over no more
