@@ -14,6 +14,7 @@ from tacgen.contact.raster import (
     CellMesh,
     Float64,
     Int32,
+    PixelGrid,
     cut_mesh,
     dome_mm,
     faces_over,
@@ -202,10 +203,9 @@ class Surround:
             self._found = np.empty_like(mesh.faces)
         posed, found = self._posed, self._found
         limit_mm = zero_mm + reach_mm if np.isfinite(zero_mm) else np.inf
-        arrays = (mesh.vertices_mm, mesh.faces, mesh.first, mesh.spheres_mm)
-        count = faces_over(*arrays, pose, self.pixel_mm, self.shape_px, limit_mm, posed, found)
-        x, y, z = posed
-        drawn = rasterize(x, y, z, found[:count], self.gel_mm, limit_mm, 1, self._depth_mm)
+        grid = PixelGrid(self.pixel_mm, self.shape_px)
+        count = faces_over(mesh, pose, grid, limit_mm, posed, found)
+        drawn = rasterize(posed, found[:count], self.gel_mm, limit_mm, 1, self._depth_mm)
         count = _gather_beside(
             *(self._depth_mm, self.gel_mm, self.outside, drawn, zero_mm, limit_mm),
             *(self._grains, self._places),
@@ -321,22 +321,21 @@ class GapMapper:
 
     def _faces_over(self, pose_gel_object: Float64) -> Int32:
         """Pose the mesh; the faces over the window."""
-        mesh, posed, found = self._mesh, self._posed, self._faces
-        arrays = (mesh.vertices_mm, mesh.faces, mesh.first, mesh.spheres_mm)
-        view = (pose_gel_object, self.sensor.mm_per_px, self.sensor.shape_px)
-        return found[: faces_over(*arrays, *view, np.inf, posed, found)]
+        grid = PixelGrid(self.sensor.mm_per_px, self.sensor.shape_px)
+        posed, found = self._posed, self._faces
+        return found[: faces_over(self._mesh, pose_gel_object, grid, np.inf, posed, found)]
 
     def _rasterize(
         self, pose_gel_object: Float64, reach_mm: float
     ) -> tuple[tuple[int, int, int, int], float]:
         gel_mm, depth_mm = self._gel_mm, self._depth_mm
         over = self._faces_over(pose_gel_object)
-        x, y, z = self._posed
+        posed = self._posed
         top, bottom, left, right = self._drawn
         depth_mm[top:bottom, left:right] = np.inf
-        first = rasterize(x, y, z, over, gel_mm, np.inf, FIRST_ROWS, depth_mm)
+        first = rasterize(posed, over, gel_mm, np.inf, FIRST_ROWS, depth_mm)
         limit_mm = _smallest_gap(depth_mm, gel_mm, first, FIRST_ROWS) + reach_mm
-        rest = rasterize(x, y, z, over, gel_mm, limit_mm, 1, depth_mm)
+        rest = rasterize(posed, over, gel_mm, limit_mm, 1, depth_mm)
         self._drawn = (
             min(first[0], rest[0]),
             max(first[1], rest[1]),

@@ -4,8 +4,7 @@ One thread, float64, no fast-math and no fused operations: the same bits on ever
 """
 
 import math
-from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +18,7 @@ CELL_MM = 4.0  # of a cut mesh: a fifth of a sensor's window, and some 50 faces
 MOST_CELLS = 1024  # along an axis: what lies over 4 m from the mesh's end is in the last cell
 
 
-@dataclass(frozen=True, slots=True)
-class CellMesh:
+class CellMesh(NamedTuple):
     """A mesh cut into cells with vertices of their own: one beside the window is not looked into.
 
     ``vertices_mm`` (n, 3) and ``faces`` (m, 3) lie cell by cell; ``first`` (c + 1, 2) is the first
@@ -31,6 +29,13 @@ class CellMesh:
     faces: Int32
     first: Int32
     spheres_mm: Float64
+
+
+class PixelGrid(NamedTuple):
+    """Rows and columns of pixels about the middle of the gel."""
+
+    mm_per_px: float
+    shape_px: tuple[int, int]
 
 
 def cut_mesh(vertices_mm: Float64, faces: Int32) -> CellMesh:
@@ -81,18 +86,14 @@ def _by_cell(
 
 @njit(cache=True, nogil=True)
 def faces_over(
-    vertices_mm: Float64,
-    faces: Int32,
-    first: Int32,
-    spheres_mm: Float64,
+    mesh: CellMesh,
     pose_gel_object: Float64,
-    mm_per_px: float,
-    shape_px: tuple[int, int],
+    grid: PixelGrid,
     highest_mm: float,
     posed: Float64,
     found: Int32,
 ) -> int:
-    """Pose a ``CellMesh``; write the faces whose bounding rectangle holds a pixel's centre.
+    """Pose a mesh; write the faces whose bounding rectangle holds a pixel's centre.
 
     Those all of whose corners are above ``highest_mm`` may be left out.
     ``posed`` (3, n) are the fractional column and row (0 at the first pixel's centre) and z in mm
@@ -102,7 +103,8 @@ def faces_over(
     even the last bit does.
     """
     t = pose_gel_object
-    per_px = 1.0 / mm_per_px
+    vertices_mm, faces, first, spheres_mm = mesh
+    per_px, shape_px = 1.0 / grid.mm_per_px, grid.shape_px
     half_row = 0.5 * shape_px[0] - 0.5
     half_column = 0.5 * shape_px[1] - 0.5
     columns, rows, heights_mm = posed[0], posed[1], posed[2]
@@ -152,9 +154,7 @@ def dome_mm(square_mm2: float, radius_mm: float) -> float:
 
 @njit(cache=True, nogil=True)
 def rasterize(
-    columns: Float64,
-    rows: Float64,
-    heights_mm: Float64,
+    posed: Float64,
     faces: Int32,
     gel_mm: Float64,
     gap_limit_mm: float,
@@ -163,12 +163,14 @@ def rasterize(
 ) -> tuple[int, int, int, int]:
     """Lower ``depth_mm`` (H, W) to the nearest surface over pixels' centres in ``every`` n-th row.
 
+    ``posed`` (3, n) are columns, rows and z in mm of the vertices, as ``faces_over`` writes them.
     Triangles that lie outside the window, or everywhere further than ``gap_limit_mm`` above the
     gel at rest ``gel_mm`` (H, W), are left out. An edge belongs to both of its triangles, and both
     compute its crossing with a row from the same numbers, so that no pixel falls between them.
     Returns the half-open rectangle (top, bottom, left, right) of pixels that was touched; empty
     where top >= bottom.
     """
+    columns, rows, heights_mm = posed[0], posed[1], posed[2]
     n_rows, n_columns = depth_mm.shape
     top, bottom, left, right = n_rows, 0, n_columns, 0
     for i in range(faces.shape[0]):
