@@ -36,7 +36,7 @@ Parts = tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Press:
+class ForeignPress:
     """One press of a foreign set; ``rgb`` (H, W, 3) uint8, places in pixels, y down."""
 
     name: str
@@ -49,7 +49,7 @@ class PressSet:
     """What a reader of a foreign format found; pictures are read as ``presses`` is run through."""
 
     background_rgb: NDArray[np.uint8]
-    presses: Iterable[Press]
+    presses: Iterable[ForeignPress]
     mm_per_px: float
     n_rows: int
     notes: Parts = ()
@@ -134,7 +134,7 @@ def read_gs_sdk(source: Path, mm_per_px: float | None, ball_radius_mm: float | N
     diameters = _numbers(catalog, source / "catalog.csv", "diameter(mm)")["diameter(mm)"]
     others = [name for name in catalog if name not in ("diameter(mm)", "file", *COORDINATES)]
 
-    def presses() -> Iterator[Press]:
+    def presses() -> Iterator[ForeignPress]:
         for row, diameter in zip(catalog.to_dict("records"), diameters.tolist(), strict=True):
             folder = _inside(source, row["experiment_reldir"])
             radius_mm = ball_radius_mm or diameter / 2
@@ -143,7 +143,7 @@ def read_gs_sdk(source: Path, mm_per_px: float | None, ball_radius_mm: float | N
                 columns |= dict(zip(COORDINATES, _gs_sdk_label(folder / "label.npz"), strict=True))
             columns |= {name: row[name] for name in others}
             name = str(row["experiment_reldir"]).replace("/", "_")
-            yield Press(name, _image(folder / "gelsight.png"), columns)
+            yield ForeignPress(name, _image(folder / "gelsight.png"), columns)
 
     notes = () if mm_per_px else (f"mm_per_px taken as {GS_SDK_MM_PER_PX} (gs_sdk's Mini)",)
     background = _image(source / "background.png")
@@ -202,14 +202,14 @@ def read_py3dcal(source: Path, mm_per_px: float | None, ball_radius_mm: float | 
     notes += [note] if note else []
     others = [n for n in table if n not in ("img_name", "x_px", "y_px", "file", "trial", *STAGE)]
 
-    def presses() -> Iterator[Press]:
+    def presses() -> Iterator[ForeignPress]:
         for k in np.nonzero(touching)[0].tolist():
             columns: dict[str, Any] = {"radius_mm": radius_mm}
             if np.isfinite(circles[k]).all():
                 columns |= dict(zip(COORDINATES, circles[k].tolist(), strict=True))
             columns |= {name: named[name][k] for name in STAGE if name in named}
             columns |= {"trial": trial[k], **{name: table[name].iloc[k] for name in others}}
-            yield Press(paths[k].stem, _image(paths[k]), columns)
+            yield ForeignPress(paths[k].stem, _image(paths[k]), columns)
 
     scale = mm_per_px or 1.0 / known["px_per_mm"]
     return PressSet(background, presses(), scale, len(table), tuple(notes))
@@ -268,10 +268,10 @@ def read_9dtact(source: Path, mm_per_px: float | None, ball_radius_mm: float | N
         path for ref in references for path in sorted(ref.parent.glob("rectify_crop_sample*.png"))
     ]
 
-    def presses() -> Iterator[Press]:
+    def presses() -> Iterator[ForeignPress]:
         for path in samples:
             parts = path.relative_to(source).with_suffix("").parts
-            yield Press("_".join(parts), _image(path), {"radius_mm": radius_mm})
+            yield ForeignPress("_".join(parts), _image(path), {"radius_mm": radius_mm})
 
     one_colour = "9DTact shows depth as darkness, a table slopes as colours: see the held-out error"
     background = np.median(rest, axis=0).astype(np.uint8)
@@ -317,10 +317,10 @@ def read_gelsight_mini_pretrain(
         kinds = "; ".join(" ".join(map(str, kind)) for kind in gels.drop_duplicates().to_numpy())
         warnings = (f"presses of several gels ({kinds}): calibrate each by itself",)
 
-    def presses() -> Iterator[Press]:
+    def presses() -> Iterator[ForeignPress]:
         records = columns.to_dict("records")
         for number, (_, rgb) in enumerate(_parquet_images(files, row)):
-            yield Press(f"press_{number:05d}", rgb, records[number])
+            yield ForeignPress(f"press_{number:05d}", rgb, records[number])
 
     background = np.rint(median).astype(np.uint8)
     return PressSet(background, presses(), scale, len(table), tuple(notes), warnings)
