@@ -1,7 +1,7 @@
 """The look-up itself: from the slope of the gel and the place in the image to grey levels."""
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,38 @@ from tacgen.optics.vector import NODE_FLOATS, blend_nodes, blend_places
 N_FEATURES = 6  # x², y², xy, x, y, 1 in image position, Taxim's order
 _LANES = NODE_FLOATS // N_FEATURES
 CACHE_LINE_FLOATS = 16
+
+
+class QuadraticNodes(NamedTuple):
+    """A quadratic in position made ready for images of ``background`` (H, W, 3).
+
+    ``nodes`` are ``packed_nodes``; ``u`` (W,) and ``v`` (H,) float32 are the places of columns and
+    rows in the image.
+    """
+
+    mm_per_px: float
+    nodes: NDArray[Any]
+    max_slope_rad: float
+    interpolate: bool
+    u: NDArray[Any]
+    v: NDArray[Any]
+    background: NDArray[Any]
+
+
+class ResponseNodes(NamedTuple):
+    """A response made ready for images of ``background`` (H, W, 3).
+
+    ``response`` is a ``packed_response`` and ``contact`` a ``packed_contact``; ``rest_mm`` (H, W)
+    is the gel at rest, gel frame.
+    """
+
+    mm_per_px: float
+    response: NDArray[Any]
+    max_slope_rad: float
+    background: NDArray[Any]
+    rest_mm: NDArray[Any]
+    contact: NDArray[Any]
+    contact_depth_mm: float
 
 
 def packed_nodes(coefficients: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -273,19 +305,13 @@ def shade_window(
     window: Window,
     spans: NDArray[Any],
     image: NDArray[Any],
-    mm_per_px: float,
-    nodes: NDArray[Any],
-    max_slope_rad: float,
-    interpolate: bool,
-    u: NDArray[Any],
-    v: NDArray[Any],
-    background: NDArray[Any],
+    ready: QuadraticNodes,
 ) -> None:
     """Write background + polynomial into ``image`` (H, W, 3) float32, in the spans of ``window``.
 
-    ``height_mm`` (H, W) is the deformed gel surface, gel frame; ``nodes`` are ``packed_nodes``;
-    ``u`` (W,) and ``v`` (H,) float32 are the places of columns and rows in the image.
+    ``height_mm`` (H, W) is the deformed gel surface, gel frame.
     """
+    mm_per_px, nodes, max_slope_rad, interpolate, u, v, background = ready
     top, bottom = window[:2]
     n_slope, n_direction = nodes.shape[0], nodes.shape[1] - 1
     table = nodes.reshape(-1)
@@ -334,19 +360,13 @@ def shade_response(
     window: Window,
     spans: NDArray[Any],
     image: NDArray[Any],
-    mm_per_px: float,
-    response: NDArray[Any],
-    max_slope_rad: float,
-    background: NDArray[Any],
-    rest_mm: NDArray[Any],
-    contact: NDArray[Any],
-    contact_depth_mm: float,
+    ready: ResponseNodes,
 ) -> None:
     """Write background + response + contact into ``image`` (H, W, 3), in the spans of ``window``.
 
-    ``height_mm`` (H, W) is the deformed gel surface, gel frame, and ``rest_mm`` the gel at rest;
-    ``response`` is a ``packed_response`` and ``contact`` a ``packed_contact``.
+    ``height_mm`` (H, W) is the deformed gel surface, gel frame.
     """
+    mm_per_px, response, max_slope_rad, background, rest_mm, contact, contact_depth_mm = ready
     top, bottom = window[:2]
     n_rows, n_columns = response.shape[0], response.shape[1]
     n_slope, n_direction = response.shape[2], response.shape[3] - 1

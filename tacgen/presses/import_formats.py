@@ -30,7 +30,6 @@ from tacgen.presses.rules import IMAGES
 
 GS_SDK_MM_PER_PX = 0.0634
 """GelSight Mini at 320 × 240 px, from gs_sdk's ``gsmini.yaml`` (called ``ppmm`` there)."""
-MAX_ABOUT_BYTES = 1 << 20  # of a file with a few numbers
 
 Parts = tuple[str, ...]
 
@@ -152,7 +151,7 @@ def read_gs_sdk(source: Path, mm_per_px: float | None, ball_radius_mm: float | N
 
 def _gs_sdk_label(path: Path) -> list[float]:
     try:
-        check_archive(path, MAX_ABOUT_BYTES)
+        check_archive(path, IMAGES.max_about_bytes)
         with np.load(path, allow_pickle=False) as label:
             x, y = label["center"]
             return [float(value) for value in (x, y, label["radius"])]
@@ -498,7 +497,7 @@ def _numbers(table: pd.DataFrame, path: Path, *names: str) -> dict[str, FloatArr
 
 def _json(path: Path, needed: tuple[str, ...]) -> dict[str, float]:
     try:
-        found = json.loads(read_small_text(path, MAX_ABOUT_BYTES))
+        found = json.loads(read_small_text(path, IMAGES.max_about_bytes))
         numbers = {name: float(found[name]) for name in needed}
         if not all(0 < number < np.inf for number in numbers.values()):
             msg = "they must be positive"
