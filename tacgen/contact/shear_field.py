@@ -235,7 +235,8 @@ class ShearField:
     ``markers_mm`` (n, 2), which stand ``marker_pitch_mm`` apart; None: ∫ u dA over the window.
 
     ``stiff``, ``squares``, ``alpha`` and ``over`` are those of its ``Lattice``, ``shown`` (rows,
-    columns, 2) is the part of a force at each node that the sum has of it.
+    columns, 2) is the part of a force at each node that the sum has of it. ``tolerance`` is that of
+    force and motion to which a frame is solved.
     """
 
     def __init__(
@@ -250,7 +251,7 @@ class ShearField:
         rows = max(1, round(height_mm / lattice_mm))
         columns = max(1, round(width_mm / lattice_mm))
         self.shape = rows, columns
-        self.lattice_mm, self.decay_mm = lattice_mm, decay_mm
+        self.lattice_mm, self.decay_mm, self.tolerance = lattice_mm, decay_mm, TOLERANCE
         self._x_mm = (np.arange(columns) - (columns - 1) / 2) * lattice_mm
         self._y_mm = (np.arange(rows) - (rows - 1) / 2) * lattice_mm
         self.nodes_mm = np.stack(np.meshgrid(self._x_mm, self._y_mm), axis=-1)
@@ -308,7 +309,6 @@ class ShearField:
         center_mm: Float64,
         friction: float,
         before: ShearState | None = None,
-        tolerance: float = TOLERANCE,
     ) -> ShearState:
         """The state after one more frame.
 
@@ -350,7 +350,7 @@ class ShearField:
             lever_mm = max(float(arm / total), self.lattice_mm)
             of = Sheet(sheet, held, sticks, _wide(start.sheet), _wide(start.held), _wide(limit))
             lattice = self._lattice(np.pad(x_mm, 1), np.pad(y_mm, 1))
-            _solve(of, lattice, within, lever_mm, tolerance, slide)
+            _solve(of, lattice, within, lever_mm, self.tolerance, slide)
         sheet, held, sticks = (one[1:-1, 1:-1] for one in (sheet, held, sticks))
         # What the sweeps, or friction, leave of the force acts as the pressure does.
         share = pressure / total
