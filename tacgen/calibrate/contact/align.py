@@ -296,21 +296,19 @@ def _fit_radius(log: PressLog) -> tuple[float, tuple[float, float], float]:
         )
         raise PressError(msg)
 
-    def fits(radius: float) -> list[tuple[FloatArray, float]]:
+    def fits(radius: float) -> list[tuple[FloatArray, float, float]]:
         return [_fit_curve(*curve, radius) for curve in curves]
 
     def squares(radius: float) -> float:
-        return sum(float(left @ left) for left, _ in fits(radius))
+        return sum(float(left @ left) for left, *_ in fits(radius))
 
     radii = np.geomspace(*ALIGN.radii_mm, ALIGN.n_radii)
     costs = np.array([squares(radius) for radius in radii])
     near = radii[np.clip(int(np.argmin(costs)) + np.array([-1, 1]), 0, ALIGN.n_radii - 1)]
     best = minimize_scalar(squares, bounds=tuple(near), method="bounded", options={"xatol": 1e-3})
     found = fits(float(best.x))
-    power = sum(float(left @ left) for left, _ in found)
-    shared = sum(float(left[1:] @ left[:-1]) for left, _ in found) / max(power, 1e-300)
-    count = float(sum(len(left) for left, _ in found))
-    count *= (1.0 - max(shared, 0.0)) / (1.0 + max(shared, 0.0))
+    residuals = [left for left, *_ in found]
+    count = sum(map(len, residuals)) / _rows_of_a_residual(residuals)
     freedom = max(count, ALIGN.min_curve_samples) - 1 - 3 * len(curves)
     limit = best.fun * (1.0 + 3.841 / max(freedom, 1.0))
     inside = np.append(radii[costs <= limit], best.x)
@@ -320,14 +318,14 @@ def _fit_radius(log: PressLog) -> tuple[float, tuple[float, float], float]:
         low = brentq(lambda r: squares(r) - limit, radii[radii < low][-1], low, rtol=1e-3)
     if high < radii[-1]:
         high = brentq(lambda r: squares(r) - limit, high, radii[radii > high][0], rtol=1e-3)
-    logs = [np.log(np.median([k_n for _, k_n in fits(end)])) for end in (low, high)]
+    logs = [np.log(np.median([k_n for _, k_n, _ in fits(end)])) for end in (low, high)]
     return float(best.x), (low, high), float(np.ptp(logs)) / (2 * 1.96)
 
 
 def _fit_curve(
-    depth_mm: FloatArray, force_n: FloatArray, radius_mm: float
-) -> tuple[FloatArray, float]:
-    """Residual (N,) of F = F₀ + V(d + d₀)/k of one press, and its k, mm³/N."""
+    depth_mm: FloatArray, force_n: FloatArray, radius_mm: FloatArray | float
+) -> tuple[FloatArray, float, float]:
+    """Residual (N,) of F = F₀ + V(d + d₀)/k of one press, its k, mm³/N, and its d₀, mm."""
     deepest = float(depth_mm.max())
     low, high = -0.5 * deepest, 0.2 * deepest
     shifts = np.linspace(low, high, ALIGN.n_starts)
@@ -338,7 +336,7 @@ def _fit_curve(
         stiffness = (volumes @ force) / np.maximum((volumes**2).sum(axis=1), 1e-300)
         left = force - stiffness[:, None] * volumes
         at = int(np.argmin((left**2).sum(axis=1)))
-        found = left[at], 1.0 / max(float(stiffness[at]), 1e-300)
+        found = left[at], 1.0 / max(float(stiffness[at]), 1e-300), float(shifts[at])
         step = shifts[1] - shifts[0]
         shifts = np.linspace(
             max(low, shifts[at] - step), min(high, shifts[at] + step), ALIGN.n_starts
@@ -362,7 +360,7 @@ def _fit_press(
 ) -> tuple[ContactPoint, float]:
     """Fit F = F₀ + V(d + d₀)/k, less a loss on the way back, to a press; and the error of d₀, mm.
 
-    Least squares find where it is. As noise of the depth would pull d₀, the last steps pair each
+    From where ``_fit_curve`` finds it. As noise of the depth would pull d₀, the steps pair each
     sample with the mean of its neighbours, whose noise is not its own; the errors (HC0) hold for
     noise that grows with the depth, and are as many times wider as residuals go on for rows.
     """
@@ -371,24 +369,10 @@ def _fit_press(
     rest_n = float(np.median(force_n[before])) if len(before) else 0.0
     deepest = float(depth_mm.max())
     load = force_n - rest_n
-    scale_n = float(load.max())
     # The median of the rows before contact knows the zero as well as so many rows.
     known_rows = len(before) / ALIGN.median_stderr**2
-
-    def misfit(parameters: FloatArray) -> FloatArray:
-        shift, compliance, zero = parameters
-        volume = ball_volume_mm3(depth_mm + shift, radius_mm)
-        left = (load / scale_n - zero - volume / np.exp(compliance) / scale_n)[touching]
-        return np.append(left, zero * np.sqrt(known_rows))
-
-    start = np.log(ball_volume_mm3(deepest, radius_mm[touching].mean()) / scale_n)
-    found = least_squares(
-        misfit,
-        [0.0, start, 0.0],
-        bounds=([-0.9 * deepest, -np.inf, -0.2], [2.0 * deepest, np.inf, 0.2]),
-        x_scale=[0.1 * deepest, 1.0, 0.1],
-    )
-    at = np.array([found.x[0], np.exp(-found.x[1]), scale_n * found.x[2], 0.0])
+    _, compliance, shift = _fit_curve(depth_mm, force_n, radius_mm)
+    at = np.array([shift, 1.0 / compliance, 0.0, 0.0])
     number = np.zeros(len(load), dtype=np.int64)
     inside = neighbours(depth_mm[:, None], number)[:, 0] > ALIGN.in_contact_share * deepest
     inside &= touching
@@ -411,12 +395,18 @@ def _fit_press(
         )
     spread = (paired * left[:, None] ** 2).T @ paired
     spread[2, 2] += known_rows * float((left**2).mean())
-    shared = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300)
-    rows = (1.0 + max(shared, 0.0)) / (1.0 - min(max(shared, 0.0), 0.99))
-    rows *= len(left) / max(len(left) - 4, 1)
+    rows = _rows_of_a_residual([left]) * len(left) / max(len(left) - 4, 1)
     errors = np.sqrt(np.diag(inverse @ spread @ inverse.T) * rows)
     point = ContactPoint(trial, float(at[0]), rest_n + float(at[2]), float(errors[1] / at[1]))
     return point, max(float(errors[0]), ALIGN.least_shift_share * deepest)
+
+
+def _rows_of_a_residual(residuals: Sequence[FloatArray]) -> float:
+    """For how many rows residuals go on in each press, by their correlation from row to row."""
+    power = sum(float(left @ left) for left in residuals)
+    shared = sum(float(left[1:] @ left[:-1]) for left in residuals) / max(power, 1e-300)
+    shared = min(max(shared, 0.0), 0.99)
+    return (1.0 + shared) / (1.0 - shared)
 
 
 def _area_mm2(depth_mm: FloatArray, radius_mm: FloatArray) -> FloatArray:
