@@ -75,6 +75,16 @@ class LogRules:
 class ImageRules:
     """Thresholds of reading press images; *radii* are of the contact's circle."""
 
+    # What ball radii and widths of a picture can be: others are in another unit
+    balls_mm: tuple[float, float] = (0.1, 200.0)
+    widths_mm: tuple[float, float] = (1.0, 150.0)
+
+    # Sets of other toolkits
+    max_about_bytes: int = 1 << 20  # of a file with a few numbers
+    background_pictures: int = 101  # whose median stands in for a background: more change no level
+    derived_off_share: float = 0.2  # of the circle that is seen, by which one derived from a depth
+    # may be off: on pressed balls the seen one is 3 to 6 % wide and its centre within 2 %
+
     # The contact's circle
     work_width_px: int = 160  # images are looked at this wide: a circle needs no more
     dark_grey: float = 25.0  # change is against the light at its place, plus this much: in dark
@@ -135,6 +145,7 @@ class ImageRules:
     near_px: float = 1.0  # circles, or stage places and radii: labels are set to whole pixels
     alike_press_share: float = 0.1  # of what either differs from the gel at rest by: a contact of
     # 40 px moved by 2 px reaches it, noise of 1 grey level under a light touch half of it
+    rows_at_once: int = 1000  # of the matrix of pictures against pictures
     compared_press_px: int = 40  # most columns that are compared, each a mean over at least
     block_px: int = 8  # pixels, which leaves little of a camera's noise
 
