@@ -185,14 +185,6 @@ def test_the_command_for_a_labs_csv_gives_the_law(tmp_path, monkeypatch):
     assert law["k_n_mm3_per_n"]["value"] == pytest.approx(5.2, rel=0.02)  # three times the noise
 
 
-def test_units_follow_from_the_names_of_the_keys():
-    units = {key.path: key.unit for key in hooks.keys_of("collect")}
-    assert units["grid.force_n"] == "N"
-    assert units["contact.k_n_mm3_per_n"] == "mm³/N"
-    assert units["physics.lift_acceleration_mm_s2"] == "mm/s²"
-    assert units["frames.mode"] == ""
-
-
 def test_pictures_are_small():
     for path in (ROOT / "docs").rglob("figures/*.*"):
         assert path.stat().st_size <= 100_000, path

@@ -112,13 +112,6 @@ def test_a_folder_where_a_file_should_be_is_named(toy, spec, name):
         run_again(toy, spec)
 
 
-def test_odd_names_among_the_locks_are_passed_over(toy):
-    (toy.root / "shards/shard-x.lock").write_text("")
-    (toy.root / "shards/shard-00002.lock").mkdir()
-    os.mkfifo(toy.root / "shards/shard-00001.lock")
-    assert toy.running() == []
-
-
 def test_shards_that_may_not_be_read_are_not_taken_for_none(toy, monkeypatch):
     monkeypatch.setattr(os, "access", lambda path, _: path != toy.root / "shards")
     toy.manifest_path.unlink()

@@ -72,14 +72,6 @@ def test_shards_damaged_at_random_are_refused(tmp_path):
     assert told["peak_mb"] < 300
 
 
-@pytest.mark.slow
-@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
-@given(text=st.text() | st.binary().map(lambda raw: raw.decode("latin-1")))
-def test_any_text_for_a_manifest_line(text):
-    with pytest.raises(DatasetError):
-        parse_line(text, "manifest.jsonl:1")
-
-
 VALUES = st.none() | st.booleans() | st.integers() | st.floats() | st.text() | st.just([[[]]])
 
 

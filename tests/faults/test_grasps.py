@@ -50,29 +50,6 @@ def test_a_crash_and_a_hang_are_recorded_and_the_rest_goes_on(world, tmp_path, u
 
 
 @pytest.mark.slow
-def test_three_crashes_in_a_row_stop_with_the_cause(world, tmp_path):
-    run = collect_faulty(world, tmp_path / "out", "2=segfault", "3=segfault", "4=segfault")
-    assert run.returncode == 2
-    assert "3 grasps in a row crashed, the last (4)" in run.stderr
-    assert "SIGSEGV" in run.stderr
-    assert "Traceback" not in run.stderr
-    assert list(digests(tmp_path / "out")) == ["shard-00000.h5", "shard-00001.h5"]
-
-
-@pytest.mark.slow
-def test_a_folder_that_vanishes_amid_the_work_ends_it_with_one_message(world, tmp_path, untroubled):
-    out = tmp_path / "out"
-    run = collect_faulty(world, out, "3=vanish")
-    assert run.returncode == 2
-    assert "Traceback" not in run.stderr
-    assert str(out) in run.stderr
-    assert not (out / "shards").exists()
-    Path(f"{out}.gone").rename(out)
-    collect(load_recipe(world), out, progress=False)
-    assert digests(out) == untroubled
-
-
-@pytest.mark.slow
 def test_repair_remakes_the_bad_shard_alone(world, tmp_path, untroubled):
     out = tmp_path / "out"
     collect(load_recipe(world), out, progress=False)

@@ -12,7 +12,6 @@ from tests.fuzz.readers import LEARNED, READERS
 
 CHECKOUT = Path(__file__).parents[2]
 SECONDS = 0.4
-RUNS = 60
 MAX_EXTRA_MB = 250
 """On top of a sound file's: an image of the largest size allowed takes 200 MB."""
 
@@ -35,13 +34,3 @@ def test_spoiled_files_are_read_or_refused(tmp_path):
         assert not told["failure"], f"{name}: {told['failure']}"
         assert told["read"] + told["refused"] > 10, name
         assert told["extra_mb"] < MAX_EXTRA_MB, name
-
-
-@pytest.mark.slow
-def test_what_atheris_finds_is_read_or_refused(tmp_path):
-    """Inputs led by the code that they reach."""
-    pytest.importorskip("atheris", reason="atheris is not installed")
-    for name, code in fuzzed("tests.fuzz.led", tmp_path, RUNS).items():
-        log = (tmp_path / name / "log").read_text(errors="replace")
-        assert code == 0, f"{name}: {log[-3000:]}"
-        assert f"Done {RUNS} runs" in log, name

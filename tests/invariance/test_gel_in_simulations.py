@@ -8,10 +8,9 @@ import trimesh
 
 from tacgen.contact.law import ContactLaw, FittedEffect
 from tacgen.core.errors import SensorError
-from tacgen.core.records import ContactFrame, Estimate
+from tacgen.core.records import Estimate
 from tacgen.sensor.engines import _capsule
-from tacgen.sensor.gel_response import GelCourse
-from tacgen.sensor.simulated import Sensor, as_mesh
+from tacgen.sensor.simulated import Sensor
 
 K_N, STEP_S = 5.135, 0.002
 CREEP = FittedEffect(
@@ -129,14 +128,6 @@ def same(one, other, grey=0):
     assert np.abs(other.rgb.astype(int) - one.rgb).max() <= grey
 
 
-@pytest.mark.parametrize("clock_s", [100.0, -3.0])
-def test_the_clocks_zero_does_not_matter(clock_s):
-    plain, later = frame_of(Mujoco()), frame_of(Mujoco(clock_s))
-    # The weight comes on within some steps of the first, then the gel creeps for a second.
-    assert plain.volume_mm3 / K_N / plain.force_n[2] == pytest.approx(1.107, abs=0.002)
-    same(plain, later)
-
-
 def test_a_clock_that_is_given_may_have_any_zero():
     """PyBullet has none: what was before the first reading is not known."""
     found = []
@@ -192,15 +183,6 @@ def test_the_world_turned_and_moved_is_the_same_press(make):
     )
 
 
-@pytest.mark.parametrize("make", [Mujoco, Bullet])
-def test_the_order_of_bodies_does_not_matter(make):
-    same(
-        frame_of(make(), ContactLaw.default()),
-        frame_of(make(first="ball"), ContactLaw.default()),
-        grey=1,
-    )
-
-
 def test_a_pull_beside_the_gels_middle_does_not_turn_the_object():
     """Its moment about the gel's origin is that of the place alone."""
     simulation = Mujoco(at_mm=(5.0, 0.0), pull_n=(0.0, 1.0))
@@ -209,37 +191,6 @@ def test_a_pull_beside_the_gels_middle_does_not_turn_the_object():
     found = sensor._attached().contact()
     assert found.force_n[1] > 0.5
     assert abs(found.torsion_n_mm) < 0.02 * 5.0 * found.force_n[1]
-
-
-def test_a_mesh_is_made_ready_once():
-    """The meshes of a simulation cannot change, so nothing is checked or sorted twice."""
-    simulation = Mujoco()
-    sensor = simulation.attach(Sensor("gelsight_mini"))
-    simulation.step(100)
-    sensor.read()
-    mapper = sensor._pad.indenter._mapper
-    uses = mapper._uses
-    sensor.read()
-    assert mapper._uses > uses >= 1
-
-
-def test_a_mesh_of_ours_is_made_ready_once():
-    sensor = Sensor("gelsight_mini")
-    mesh = as_mesh(trimesh.creation.icosphere(subdivisions=3, radius=4.0))
-    assert as_mesh(mesh) is mesh
-    for _ in range(2):
-        sensor.render(mesh, np.eye(4), 2.0)
-    assert sensor._pad.indenter._mapper._uses == 2
-
-
-def test_twenty_thousand_readings_remember_no_more_than_ten():
-    course = GelCourse(LAW)
-    sizes = []
-    for k in range(2000):
-        force_n = 3.0 + np.sin(0.1 * k)
-        course.load(ContactFrame(0.01 * k, force_n, np.zeros(2), 0.0, np.eye(4)), 0.0)
-        sizes.append(len(course._after))
-    assert sizes[9] == sizes[-1]
 
 
 @pytest.fixture
@@ -302,24 +253,6 @@ def test_a_body_with_the_number_of_a_removed_one_is_seen_as_it_is(bullet, how):
         shown.append(fresh.depth_mm)
         if how != "everything reset":
             p.removeBody(body, physicsClientId=client)
-
-
-def test_a_mesh_is_not_taken_for_the_next_body_of_its_number(bullet):
-    p, client = bullet
-    sensor = Sensor("gelsight_mini")
-    sensor.attach_pybullet(bullet_pad(p, client), pose_link_gel=GEL, client_id=client)
-    for number, shape in enumerate(bullet_shapes(p)[:2]):
-        made = p.createCollisionShape(**shape, physicsClientId=client)
-        body = p.createMultiBody(0.3, made, -1, [0, 0, 0.0161], physicsClientId=client)
-        if number == 0:
-            sensor.add_object(body, trimesh.creation.icosphere(subdivisions=4, radius=6.0))
-        for _ in range(240):
-            p.stepSimulation(physicsClientId=client)
-        if number == 0:
-            assert sensor.read().status == "ok"
-            p.removeBody(body, physicsClientId=client)
-    with pytest.raises(SensorError, match="body 1 has other shapes than when its mesh was given"):
-        sensor.read()
 
 
 def test_a_soft_body_is_refused_by_name(bullet, tmp_path):

@@ -134,16 +134,6 @@ def test_the_threshold_scales_with_force(
     record_threshold("mass_over_closed_form", lifted, 0.97, 1.03)
 
 
-@pytest.mark.slow
-def test_friction_does_not_depend_on_yaw(
-    simulator: GraspSimulator, record_threshold: RecordThreshold
-) -> None:
-    lifted = mass_is_lifted(simulator, 0.5, yaw_rad=0.7)
-    assert lifted(0.97)
-    assert not lifted(1.03)
-    record_threshold("mass_over_closed_form", lifted, 0.97, 1.03)
-
-
 def test_friction_is_a_cone_and_not_a_pyramid(bullet_world: Any, record_property: Record) -> None:
     """A block on the table pushed along its axes and along a diagonal starts at the same force.
 
@@ -420,13 +410,3 @@ def test_the_arm_and_the_floating_gripper_agree_but_for_the_border(
     record_property("differing", differing)
     assert compared >= 20
     assert differing == 0
-
-
-def test_a_light_block_in_a_strong_grip_does_not_creep(simulator: GraspSimulator) -> None:
-    obj = block(mass_kg=0.002, size_mm=(30.0, 30.0, 30.0))
-    trace = grasp(simulator, obj, force_n=20.0, z_mm=15.0)
-    assert trace.rise_mm == pytest.approx(180.0, abs=0.05)
-    assert trace.turn_rad < 1e-3
-    # MuJoCo's pads together sink in by 2 × 20 N / (1000 N/mm), less than 0.1 mm.
-    poses = [trace.frames[pad][0].pose_gel_object[2, 3] for pad in ("left", "right")]
-    assert poses == pytest.approx([15.0, 15.0], abs=0.1)

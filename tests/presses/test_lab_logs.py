@@ -251,43 +251,12 @@ def test_rows_of_presses_that_alternate_are_joined(tmp_path):
     same(log, plain(tmp_path, frame))
 
 
-def test_two_presses_under_one_number_are_not_sorted_into_each_other(tmp_path):
-    frame = presses().assign(time_s=lambda f: f["time_s"] - 20.0 * f["trial"])
-    frame["trial"] //= 2
-    with pytest.raises(PressError, match="goes backwards"):
-        read_press_log(_written(tmp_path, frame))
-
-
 def test_a_log_of_which_most_is_dropped_is_an_error(tmp_path):
     frame = presses()
     frame.loc[frame["trial"] > 1, "volume_mm3"] = np.nan
     with pytest.raises(PressError, match="only 80 of 240 samples can be used") as caught:
         read_press_log(_written(tmp_path, frame))
     assert "volume_mm3 is empty" in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("column", "factor", "words"),
-    [
-        ("depth_mm", 1e-3, 'looks like m; say which it is: --column depth_mm="depth_mm [m]"'),
-        ("depth_mm", 1e3, "looks like um"),
-        ("time_s", 1e6, "looks like us"),
-        ("time_s", 1e9, "looks like ns"),
-        ("force_normal_n", 1e3, "--force-unit mn (millinewtons: 5 mm³/N)"),
-    ],
-)
-def test_values_in_another_unit_than_the_name_says(tmp_path, column, factor, words):
-    frame = presses().drop(columns="volume_mm3")
-    frame[column] *= factor
-    with pytest.raises(PressError) as caught:
-        read_press_log(_written(tmp_path, frame), radius_mm=RADIUS_MM)
-    assert words in str(caught.value)
-
-
-def test_a_clock_that_may_be_in_ms_is_a_warning(tmp_path):
-    frame = presses().assign(time_s=lambda f: 1e3 * f["time_s"])
-    log = read_press_log(_written(tmp_path, frame))
-    assert any("if it is in ms" in text for text in log.warnings)
 
 
 @pytest.mark.parametrize(

@@ -190,14 +190,6 @@ def test_shallow_curves_that_cannot_tell_the_radius_are_refused(tmp_path):
         align(read(curves(5.0, 4.0, 0.3, n_curves=3), tmp_path))
 
 
-def test_curves_that_bound_no_ball_are_refused(tmp_path):
-    # A cap's volume is π d² (R − d/3): a pure parabola is that of a ball without end.
-    depth = np.linspace(0.0, 1.0, 40)
-    frame = pd.DataFrame({"trial": 0, "force_normal_n": 3.0 * depth**2, "depth_mm": depth})
-    with pytest.raises(PressError, match="give the ball's radius with --radius-mm"):
-        align(read(frame, tmp_path))
-
-
 @pytest.mark.parametrize(
     ("depth_mm", "words"),
     [
@@ -222,23 +214,6 @@ def test_the_interval_of_one_curve_of_a_known_ball_holds_its_k_n(tmp_path):
         held.append(abs(k_n.value - 5.0) < 1.96 * k_n.stderr)
         assert k_n.stderr < 0.2
     assert np.mean(held) >= 0.8
-
-
-@pytest.mark.parametrize("zero_n", [0.0, 0.1, -0.3])
-def test_an_untared_gauge_is_subtracted_and_said(tmp_path, zero_n):
-    """Curves that begin at rest state their zero; k_n is then that of a gauge that was tared."""
-    rng = np.random.default_rng(4)
-    parts = []
-    for curve in range(5):
-        depth = np.concatenate([np.zeros(10), np.linspace(0.0, rng.uniform(0.6, 1.0), 60)])
-        force = np.pi * depth**2 * (4.0 - depth / 3) / 5.135 + zero_n
-        noisy = force + 0.01 * rng.normal(size=len(depth))
-        rows = {"curve": curve, "force_normal_n": noisy, "depth_mm": depth, "radius_mm": 4.0}
-        parts.append(pd.DataFrame(rows))
-    pd.concat(parts).to_csv(tmp_path / "curves.csv", index=False)
-    found = calibrate_contact(tmp_path / "curves.csv", tmp_path / "contact.yaml")
-    assert found.law.k_n_mm3_per_n.value == pytest.approx(5.135, rel=0.02)
-    assert any("at rest" in warning for warning in found.warnings) == bool(zero_n)
 
 
 @pytest.mark.slow

@@ -113,12 +113,6 @@ def test_presses_that_do_not_begin_at_rest_state_no_zero(tmp_path):
     assert without_zero(log) is log
 
 
-def test_a_press_that_begins_slowly_is_no_rest(tmp_path):
-    """Its first rows rise by a few times the noise."""
-    log = read(session(first=(3, 0.02)), tmp_path)
-    assert without_zero(log) is log
-
-
 def test_a_noise_free_log_states_its_zero_exactly(tmp_path):
     frame = session()
     course = frame["force_normal_n"].round(0)

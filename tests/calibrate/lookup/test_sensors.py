@@ -114,10 +114,3 @@ def test_dots_stay_in_the_background_unless_they_are_to_be_drawn(tmp_path):
         spread.append((rest / np.median(rest, axis=(0, 1)))[middle].mean(axis=2).min())
     assert spread[0] < 0.4
     assert spread[1] > 0.6
-
-
-@pytest.mark.slow
-def test_three_presses_are_enough_to_start_with(tmp_path):
-    presses = read(draw_presses(SENSORS["Mini, no dots"], 46, count=3), tmp_path / "p")
-    score = score_table(fit_lookup(presses), presses)
-    assert score.rmse("refined")[0] < 0.3 * change_in_contact(presses)

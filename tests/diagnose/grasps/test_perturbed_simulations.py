@@ -96,10 +96,6 @@ def test_grasps_to_make_next_separate_the_two_sides_of_a_shift():
     assert sides == [-21.0, 22.0]
 
 
-def test_nothing_found_leaves_the_recipe_as_it_is():
-    assert extended_recipe(RECIPE, [], [BOX]) is RECIPE
-
-
 @pytest.mark.slow
 def test_a_mass_predicts_what_the_inverse_force_does_where_nothing_turns(tmp_path):
     """Failure modes included: they would speak for whichever of the two was simulated."""
@@ -194,9 +190,3 @@ def test_two_causes_are_simulated_at_once_and_kept(tmp_path):
     known = dict(simulations.known)
     simulations.refined([Explanation(idle, 1.0, 1.0, np.eye(2))])
     assert simulations.known == known
-
-
-def test_crossings_lie_where_the_line_between_values_is_zero():
-    axis = np.array([0.0, 1.0, 2.0, 3.0])
-    assert crossings(axis, np.array([-1.0, 1.0, 3.0, -1.0])) == pytest.approx([0.5, 2.75])
-    assert crossings(axis, np.ones(4)).size == 0

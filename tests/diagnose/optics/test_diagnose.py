@@ -85,17 +85,6 @@ def test_an_effect_by_another_formula_is_named_and_lowers_the_heldout_error(kind
 
 
 @pytest.mark.slow
-def test_what_was_put_in_comes_out_in_numbers():
-    radii = diagnosed("three", "scale")
-    factor = radii.effects[0].parameters["contact_per_label"]
-    # Labels are 15 % too large.
-    assert factor["value"] == pytest.approx(1 / 1.15, rel=0.05)
-    assert 0 < factor["stderr"] < 0.05
-    blur = diagnosed("four", "blur")
-    assert blur.effects[0].parameters["sigma_mm"]["value"] == pytest.approx(0.25, rel=0.3)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("effect", "covariate"), [("ageing", "image_number"), ("scratch", "place_on_gel")]
 )
@@ -149,14 +138,6 @@ def test_without_a_table_only_what_one_cannot_express_is_found():
 
 
 @pytest.mark.slow
-def test_a_diagnosis_that_starts_from_its_own_table_finds_nothing_more():
-    first = diagnosed("three", "saturation")
-    again = diagnose_optics(presses("three", "saturation"), first.table)
-    assert names(again) == []
-    assert again.rmse_before < 1.1 * first.rmse_after
-
-
-@pytest.mark.slow
 def test_the_extended_table_renders_the_effect():
     found = diagnosed("three", "saturation")
     table = found.table
@@ -178,11 +159,6 @@ def test_the_json_has_the_contracts_fields():
     assert channel["error_before"]["unit"] == "grey"
     assert channel["trials"] == {"fit": 12, "test": 4}
     assert {"verdict", "effects", "unexplained", "error_after", "noise_floor"} <= set(channel)
-
-
-def test_too_few_presses():
-    with pytest.raises(PressError, match="5 usable presses are too few to hold any out"):
-        diagnose_optics(presses("four", count=5))
 
 
 def test_many_pictures_of_few_presses_are_too_few():
