@@ -21,18 +21,34 @@ def pytest_report_header() -> str:
     return "" if HAS_LEARN else f"the extra `learn` is missing; not tested: {', '.join(NEED_LEARN)}"
 
 
-LONGEST = ("test_docs.py", "test_slurm.py")
+LONGEST = (
+    "test_docs.py", "slurm/test_slurm.py", "batch/test_batch_sensor.py", "test_packaging.py",
+    "invariance/test_placement.py", "diagnose/optics/test_diagnose.py",
+    "diagnose/contact/test_diagnose.py", "learning/test_train.py", "learning/test_evaluate.py",
+    "envs/test_grasping.py", "collection/test_run.py", "physics/test_closed_forms.py",
+)  # fmt: skip
+"""Files that start first, since one that starts last keeps a process waiting for the other."""
 EXHAUSTIVE = ("fuzz", "slurm", "validation", "faults/test_random_kills.py")
 """Folders and files of ``tests/`` that ``make test`` leaves to ``make test-all``."""
+ENGINES = ("batch", "collection", "envs", "faults", "invariance", "physics/test_closed_forms.py",
+           "physics/test_grasp.py", "physics/test_repeatability.py")  # fmt: skip
+"""Whose slow tests ``make test`` runs in PyBullet alone, where both engines are tested."""
+
+
+def is_in(place: str, places: tuple[str, ...]) -> bool:
+    return any(place == one or place.startswith(f"{one}/") for one in places)
 
 
 @pytest.hookimpl(tryfirst=True)  # before ``-m`` chooses
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest tests first: one that starts last keeps a process waiting for the other."""
-    items.sort(key=lambda item: item.path.name not in LONGEST)
+    """The longest files first, and what ``make test`` leaves out marked."""
+    places = {item: item.path.relative_to(Path(__file__).parent).as_posix() for item in items}
+    items.sort(key=lambda item: LONGEST.index(places[item]) if places[item] in LONGEST else 99)
     for item in items:
-        place = item.path.relative_to(Path(__file__).parent).as_posix()
-        if any(place == one or place.startswith(f"{one}/") for one in EXHAUSTIVE):
+        parameters = getattr(item, "callspec", None)
+        is_mujoco = parameters is not None and "mujoco" in parameters.params.values()
+        is_twice = is_mujoco and item.get_closest_marker("slow") and is_in(places[item], ENGINES)
+        if is_twice or is_in(places[item], EXHAUSTIVE):
             item.add_marker("exhaustive")
 
 

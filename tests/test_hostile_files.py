@@ -48,35 +48,18 @@ SECONDS = 5.0
     ("text", "words"),
     [
         ("!!bool foo", "cannot be read as bool"),
-        ("!!bool ''", "cannot be read as bool"),
-        ("!!timestamp x", "cannot be read as timestamp"),
         ("!!timestamp 2024-13-45", "cannot be read as timestamp"),
         ('!!int ""', "cannot be read as int"),
-        ("!!int 0x", "cannot be read as int"),
-        ("!!int 0b", "cannot be read as int"),
         ("!!float ''", "cannot be read as float"),
-        ("!!float 1.2.3", "cannot be read as float"),
         ("!!null x y", None),
-        ("!!seq x", "has the tag"),
-        ("!!map x", "has the tag"),
         ("!!set {a, b}", "has the tag"),
-        ("!!omap [a: 1]", "has the tag"),
-        ("!!pairs [a: 1]", "has the tag"),
-        ("!!binary aGVsbG8=", "has the tag"),
         ("!!str [1]", "has the tag"),
         ("!!python/name:os.system x", "has the tag"),
-        ("!mine x", "has the tag"),
         ("9" * 5000, "5000 letters, which is no number"),
-        ("0x" + "f" * 5000, "letters, which is no number"),
-        ("1." + "0" * 5000, "letters, which is no number"),
         ("1" + ":59" * 3000, "letters, which is no number"),
         ("1:30", "counts in sixties"),
-        ("-1:30:15", "counts in sixties"),
-        ("1:30.5", "counts in sixties"),
         ('"\\uD800"', "U+D800"),
-        ('"a\\uDFFFb"', "U+DFFF"),
         ('"\\0"', "U+0000"),
-        ('"\\e[31m"', "U+001B"),
         ('"\\UFFFFFFFF"', "character that there is not"),
         ("{? [a, b] : 1}", "a list or a mapping as a key"),
         ('{"\\uD800": 1}', "U+D800"),
@@ -99,7 +82,7 @@ def test_yaml(tmp_path, text, words):
     str(caught.value).encode()
 
 
-@pytest.mark.parametrize("force_n", [1e6, 1e308, 1001.0])
+@pytest.mark.parametrize("force_n", [1e308, 1001.0])
 def test_forces_beyond_any_gripper(tmp_path, monkeypatch, force_n):
     monkeypatch.chdir(tmp_path)
     grid = f"{{force_n: [{force_n}], y_mm: [0], z_mm: [60]}}"
@@ -429,9 +412,13 @@ def _is_empty(group, name):
 
 
 @pytest.mark.parametrize(
-    "replace", [_links, _leads_elsewhere, _lies_elsewhere, _swells, _is_a_group, _is_empty]
+    ("name", "replace"),
+    [
+        *(("data", one) for one in (_links, _is_a_group)),
+        *(("data/i0", one) for one in (_leads_elsewhere, _is_empty)),
+        *(("data/i0/gelsightA_after", one) for one in (_lies_elsewhere, _swells, _is_empty)),
+    ],
 )
-@pytest.mark.parametrize("name", ["data", "data/i0", "data/i0/gelsightA_after"])
 def test_pictures_in_hdf5_that_are_none(tmp_path, replace, name):
     path = READERS["feeling-of-success"].make(tmp_path)
     with h5py.File(path, "r+") as file:

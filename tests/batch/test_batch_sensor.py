@@ -177,6 +177,7 @@ def test_shear_by_a_law_with_effects(device):
     assert moved_mm[2] > moved_mm[0] + 0.1  # it goes on
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_kernels_compile_for_a_gpu_that_is_not_here(tmp_path):
     wp = pytest.importorskip("warp")
@@ -187,8 +188,10 @@ def test_kernels_compile_for_a_gpu_that_is_not_here(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("shadows", [False, True])
-@pytest.mark.parametrize("name", ["digit", "gelsight", "gelsight_mini", "virtual_gelsight"])
+@pytest.mark.parametrize(
+    ("name", "shadows"),
+    [("digit", True), ("gelsight", False), ("gelsight_mini", True), ("virtual_gelsight", False)],
+)
 def test_pictures_of_shipped_objects_are_those_of_one_sensor(name, shadows, device):
     objects = ["strawberry", "tomato_soup_can", "sugar_box", "scissors", "golf_ball"]
     meshes = [load_object(one).surface for one in objects]
@@ -200,8 +203,7 @@ def test_pictures_of_shipped_objects_are_those_of_one_sensor(name, shadows, devi
     assert difference.other == []
 
 
-@pytest.mark.parametrize("shape_px", [(77, 101), (160, 90)])
-@pytest.mark.parametrize("mm_per_px", [0.03, 0.12])
+@pytest.mark.parametrize(("shape_px", "mm_per_px"), [((77, 101), 0.12), ((160, 90), 0.03)])
 def test_odd_sizes_and_contacts_at_the_edge(shape_px, mm_per_px, tmp_path, device):
     name = small_sensor(tmp_path, shape_px, mm_per_px)
     half_mm = mm_per_px * np.array(shape_px[::-1]) / 2
@@ -406,6 +408,7 @@ def with_nan(gaps):
         (lambda s, g: s.add_mesh((9 * np.eye(3), np.zeros((0, 3), int))), "the mesh has no faces"),
     ],
 )
+@pytest.mark.parametrize("device", ["cpu"], indirect=True)
 def test_input_that_cannot_be(pair, change, message):
     sensor, gaps = pair
     if not sensor._n_meshes:

@@ -179,9 +179,13 @@ def test_no_contact_holds_no_moment():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("friction_share", [0.3, 0.7])
-@pytest.mark.parametrize("force_n", [2.0, 10.0, 30.0])
-@pytest.mark.parametrize("name", SOLIDS)
+@pytest.mark.parametrize(
+    ("name", "force_n", "friction_share"),
+    [
+        (name, *load)
+        for name, load in zip(SOLIDS, ((2.0, 0.7), (10.0, 0.3), (30.0, 0.7)), strict=True)
+    ],
+)
 def test_a_grasp_turns_where_the_integrated_patch_slides(simulator, name, force_n, friction_share):
     assert not turns(simulator, name, force_n, friction_share, 0.95)
     assert turns(simulator, name, force_n, friction_share, 1.05)

@@ -171,12 +171,10 @@ folder.write_shard(0, (make_sample(i, spec) for i in range(20)), spec)
 """
 
 
-@pytest.mark.parametrize("kilobytes", [64, 1024])
-def test_a_full_disk_gives_one_message_and_no_half_shard(tmp_path, kilobytes):
+def test_a_full_disk_gives_one_message_and_no_half_shard(tmp_path):
     disk = tmp_path / "disk"
     disk.mkdir()
-    size = f"size={kilobytes}k"
-    mount = ["mount", "-t", "tmpfs", "-o", size, "tmpfs", str(disk)]
+    mount = ["mount", "-t", "tmpfs", "-o", "size=1024k", "tmpfs", str(disk)]
     if subprocess.run(mount, capture_output=True).returncode:
         pytest.skip("mounting a small tmpfs takes root")
     try:

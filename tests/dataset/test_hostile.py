@@ -42,8 +42,13 @@ def run_again(folder, spec):
     return made
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", ["shards/shard-00001.json", "manifest.jsonl", "dataset.json"])
+RECORDS = ("shards/shard-00001.json", "manifest.jsonl", "dataset.json")
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [(RECORDS[k % 3], kind) for k, kind in enumerate([*KINDS, "missing", "empty"])],
+)
 def test_a_spoiled_record_is_mended_by_the_next_run(toy, spec, name, kind):
     before = digests(toy.root)
     KINDS[kind](toy.root / name)
@@ -63,7 +68,7 @@ def test_a_broken_line_is_its_shards_fault(toy):
         toy.merge()
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["random bytes", "endless", "missing"])
 def test_a_spoiled_recipe_is_told_and_written_again(toy, spec, kind):
     text = toy.recipe_path.read_text()
     KINDS[kind](toy.recipe_path)

@@ -40,8 +40,9 @@ def regrasping(*changes) -> np.ndarray:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*Box:UserWarning")
-@pytest.mark.parametrize("name", [GRASP, REGRASP])
-@pytest.mark.parametrize("frames", [{}, {"mode": "sequence", "count": 3}])
+@pytest.mark.parametrize(
+    ("name", "frames"), [(GRASP, {"mode": "sequence", "count": 3}), (REGRASP, {})]
+)
 def test_gymnasium_has_nothing_against_them(name, frames):
     env = make(name, small_recipe(frames=frames), render_mode="rgb_array")
     check_env(env)

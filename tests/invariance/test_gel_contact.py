@@ -119,8 +119,7 @@ def shifts(sensor, law, force_n, pose, torsion_n_mm=0.0):
     return motion.shift_mm, motion.turn_rad
 
 
-@pytest.mark.parametrize("pitch_mm", [1.0, 0.5, 4.0 / 3.0])
-@pytest.mark.parametrize("at_mm", [(0.0, 0.0, 4.0), (3.1, -1.7, 4.0)])
+@pytest.mark.parametrize(("pitch_mm", "at_mm"), [(1.0, (0.0, 0.0, 4.0)), (0.5, (3.1, -1.7, 4.0))])
 def test_another_grid_of_markers_is_the_same_gel(pitch_mm, at_mm):
     """Within what a sum over a grid differs from the integral: 1.7 % of a grid of 2 mm."""
     law = ContactLaw.linear(5.135, 1.0, marker_pitch_mm=2.0)
@@ -164,10 +163,9 @@ def course(law, press, clock_s=0.0, readings=1):
 PRESS = {name: values[:40] for name, values in press_columns(1, 60).items()}  # held, and pulled
 
 
-@pytest.mark.parametrize("sensor", [FLAT, DOMED], ids=lambda one: one.name)
 @pytest.mark.parametrize("law", FIRST_FORMS)
-def test_the_picture_of_a_press_depends_neither_on_the_clock_nor_on_reading_twice(sensor, law):
-    pad, mesh = pad_of(sensor, markers=True), mesh_of(body())
+def test_the_picture_of_a_press_depends_neither_on_the_clock_nor_on_reading_twice(law):
+    pad, mesh = pad_of(DOMED, markers=True), mesh_of(body())
     plain = pad.render(mesh, POSE, course(law, PRESS))
     assert plain.imprint.volume_mm3 > 0.0
     for options in ({"clock_s": 1000.0}, {"readings": 2}):

@@ -157,6 +157,7 @@ def touch_mm(meshes, side, y_mm, z_mm):
     return reach if np.isfinite(reach) else None
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 @every_object
 def test_pads_meet_the_object_within_the_stroke_wherever_its_ranges_go(folder):

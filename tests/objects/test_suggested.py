@@ -102,6 +102,7 @@ def test_a_place_that_cannot_be_executed_is_left_out_and_one_sided_labels_are_no
     assert "about 100 % of the suggested grasps hold" in notes[0]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_added_objects_show_their_grasps_in_every_sensor_with_both_labels(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -31,21 +31,21 @@ def test_smoothing_is_a_convolution_with_a_gaussian():
 
 
 @pytest.mark.parametrize("sigma_px", [1.1, 1.9, 2.0, 3.5, 7.5, 8.0])
-@pytest.mark.parametrize("period_px", [2.25, 2.5, 3, 4, 4.25, 4.5, 5, 6, 8, 12, 20, 30])
-def test_waves_are_damped_as_by_a_gaussian(sigma_px, period_px):
+def test_waves_are_damped_as_by_a_gaussian(sigma_px):
     """By exp(−½ (ω σ)²), wherever their crests lie in the blocks.
 
     To three percent of their height; a wave shorter than two blocks is seen as a longer one.
     """
     gaussian = Gaussian(sigma_px)
-    atol = 0.03 if period_px >= 2 * gaussian.factor else 0.16
-    phase = 2 * math.pi * np.arange(300) / period_px
-    for shift in (0.0, 0.8, 1.6, 2.4):
-        wave = np.tile(np.cos(phase + shift).astype(np.float32), (12, 1))
-        gaussian.apply(wave, (0, 12, 0, 300))
-        damping = math.exp(-0.5 * (2 * math.pi / period_px * sigma_px) ** 2)
-        expected = damping * np.cos(phase + shift)
-        np.testing.assert_allclose(wave[6, 60:240], expected[60:240], atol=atol)
+    for period_px in (2.25, 2.5, 3, 4, 4.25, 4.5, 5, 6, 8, 12, 20, 30):
+        atol = 0.03 if period_px >= 2 * gaussian.factor else 0.16
+        phase = 2 * math.pi * np.arange(300) / period_px
+        for shift in (0.0, 0.8, 1.6, 2.4):
+            wave = np.tile(np.cos(phase + shift).astype(np.float32), (12, 1))
+            gaussian.apply(wave, (0, 12, 0, 300))
+            damping = math.exp(-0.5 * (2 * math.pi / period_px * sigma_px) ** 2)
+            expected = damping * np.cos(phase + shift)
+            np.testing.assert_allclose(wave[6, 60:240], expected[60:240], atol=atol)
 
 
 @pytest.mark.parametrize("sigma_px", [2.0, 3.0, 3.5, 4.0, 8.0])

@@ -112,6 +112,7 @@ def test_a_block_tips_off_its_edge_to_the_nearer_face():
         assert tilt == pytest.approx(nearest)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 @pytest.mark.parametrize("name", OBJECTS)
 def test_shipped_meshes_are_those_that_the_script_makes(name):

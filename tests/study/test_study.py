@@ -56,6 +56,7 @@ def test_the_paper_table_is_twelve_objects_by_four_ways_with_the_papers_figures(
     assert [row.published.real for row in study.rows[1:]] == [0.864, None, 0.907]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_of_every_object_in_the_table_the_weakest_grasps_slip_and_some_strong_one_holds():
     """A grid whose grasps nearly all hold teaches nothing, and its row would be refused."""

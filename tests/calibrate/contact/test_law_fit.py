@@ -98,6 +98,7 @@ def test_balls_that_agree_and_balls_that_do_not(tmp_path):
     assert any("k differs between values of 'indenter'" in text for text in other.warnings)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_agreement_is_rejected_as_often_as_it_says():
     """5 % of 100 true hypotheses, within 3.5 standard deviations of the binomial."""

@@ -69,6 +69,7 @@ def test_too_few_presses_or_no_sensor_are_refused(tmp_path):
         load_tracks(tmp_path / "markers.csv", None, log)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_intervals_hold_the_truth_as_often_as_they_say(tmp_path):
     """Of 20 sessions × 3 parameters at 95 %: binomially at least 52 of 60 (p < 0.01 of fewer)."""

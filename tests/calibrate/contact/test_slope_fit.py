@@ -65,6 +65,7 @@ def test_one_press_has_no_error():
     assert np.isnan(fit_slope(load, response, trial).stderr)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("n_trials", "between", "gauge"), [(8, 0.0, 0.0), (12, 0.03, 0.1), (40, 0.0, 0.3)]

@@ -65,6 +65,7 @@ def spanning(mu_star, rng, span, count=20):
     return WEIGHT_N / (2 * mu_star) * span ** (2 * places - 1)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 @pytest.mark.parametrize(("span", "flipped"), [(2.0, 0), (1.4, 1)])
 def test_forces_at_any_spacing_find_the_friction_in_19_of_20_draws(span, flipped):

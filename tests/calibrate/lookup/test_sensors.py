@@ -46,7 +46,13 @@ def change_in_contact(presses):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "labels"), [*((name, False) for name in SENSORS), ("Mini, 4 lamps, dots", True)]
+    ("name", "labels"),
+    [
+        ("Mini, 4 lamps, dots", True),
+        ("DIGIT", False),
+        pytest.param("Mini, 3 lamps, dots", False, marks=pytest.mark.exhaustive),
+        pytest.param("Mini, no dots", False, marks=pytest.mark.exhaustive),
+    ],
 )
 def test_unseen_balls_are_rendered(name, labels, tmp_path):
     """Nine tenths of the change at least, 12 presses, found or roughly labelled circles."""

@@ -57,7 +57,7 @@ def test_a_clean_log_is_sufficient_in_both_channels():
         (("normal", "zero_offset", 1), ()),
         (("normal", "latency", 0), ()),
         (("normal", "hysteresis", 1), ()),
-        (("normal", "drift", 1), ()),
+        pytest.param(("normal", "drift", 1), (), marks=pytest.mark.exhaustive),
         (("normal", "conditioning", 0), ()),
         (("normal", "temperature", 1), ("temperature_c",)),
         (("normal", "geometry", 1), ("radius_mm", "indenter")),
@@ -74,6 +74,7 @@ def test_one_effect_is_named_and_brings_the_error_down_to_the_noise(effect, colu
     assert found["trials"] == {"fit": 36, "test": 12}
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 @pytest.mark.parametrize("is_of_gauge", [True, False])
 def test_an_offset_beside_slip_is_that_of_the_gauge_or_of_the_picture(is_of_gauge):
@@ -149,6 +150,7 @@ def test_the_extended_law_predicts_trials_that_nothing_saw(tmp_path):
     assert "creep" in result.output
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_parameters_of_a_linear_law_are_covered_by_their_errors():
     inside = 0

@@ -132,6 +132,7 @@ def test_a_shifted_centre_of_mass_is_named_with_its_size(offset, flips):
     assert abs(first.value - offset) < max(3 * first.stderr, 3.0)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_clean_labels_name_nothing_more_often_than_promised():
     named = 0
