@@ -30,7 +30,6 @@ from tacgen.core.errors import (
 from tacgen.core.safe_io import read_rgb
 from tacgen.core.schema import read_yaml
 from tacgen.dataset import Dataset, DatasetFolder
-from tacgen.dataset.manifest import MAX_SHARD_GRASPS, parse_line
 from tacgen.objects.mesh_import import import_surface
 from tacgen.optics import load_table, save_table
 from tacgen.presses import lab_table
@@ -191,26 +190,6 @@ def test_a_table_that_unpacks_to_gigabytes_is_refused_before_it_is_unpacked(tmp_
     with pytest.raises(TableError, match="take more than 256 MiB"):
         load_table(path)
     assert time.process_time() - start < 1.0
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"index_range": [0, 10**15]}, "larger than any"),
-        ({"index_range": [10**15, 10**15 + 4]}, "larger than any"),
-        ({"index_range": [0, MAX_SHARD_GRASPS + 1]}, "larger than any"),
-        ({"raw_bytes": 0}, "raw_bytes"),
-        ({"bytes": 0}, "bytes"),
-        ({"pads": []}, "pads"),
-        ({"frames": 0}, "frames"),
-        ({"schema": 2}, "made by a newer tacgen"),
-    ],
-)
-def test_lines_of_manifests(tmp_path, changes, words):
-    folder = collect_toy(tmp_path / "data", make_spec(n_grasps=4))
-    line = json.loads(folder.line_path(0).read_text()) | changes
-    with pytest.raises(DatasetError, match=words):
-        parse_line(json.dumps(line), "manifest.jsonl:1")
 
 
 @pytest.mark.parametrize(

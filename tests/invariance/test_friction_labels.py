@@ -40,15 +40,6 @@ def test_the_interval_holds_every_best_value_and_half_a_step(seed, wrong):
     assert fit.interval[1] >= best.max() + HALF_STEP - 1e-12
 
 
-def test_many_right_labels_bound_friction_by_their_neighbours():
-    """One wrong label may stand on either side of the border: two thresholds, and half a step."""
-    threshold = np.arange(0.025, 1.0, 0.05)
-    simulated = (MU[:, None] >= threshold).astype(np.int64)
-    fit = fit_friction(MU, simulated, (threshold < 0.5).astype(np.int64))
-    assert fit.mu == pytest.approx(0.5)
-    assert fit.interval == pytest.approx((0.425, 0.575))
-
-
 def test_grasps_written_twice_are_said(tmp_path):
     config = GraspConfig(0, "box", 5.0, 0.0, 0.0, 87.0)
     grasps = tuple(RealGrasp(f"g{k}", config, int(k < 2), "", ()) for k in range(3))

@@ -9,7 +9,6 @@ import trimesh
 from tacgen.contact.law import ContactLaw, FittedEffect
 from tacgen.core.errors import SensorError
 from tacgen.core.records import Estimate
-from tacgen.sensor.engines import _capsule
 from tacgen.sensor.simulated import Sensor
 
 K_N, STEP_S = 5.135, 0.002
@@ -128,21 +127,6 @@ def same(one, other, grey=0):
     assert np.abs(other.rgb.astype(int) - one.rgb).max() <= grey
 
 
-def test_a_clock_that_is_given_may_have_any_zero():
-    """PyBullet has none: what was before the first reading is not known."""
-    found = []
-    for zero_s in (0.0, 1000.0):
-        simulation = Bullet()
-        sensor = simulation.attach(Sensor("gelsight_mini", contact=LAW))
-        volumes = []
-        for k in range(4):
-            simulation.step(100)
-            volumes.append(sensor.read(time_s=zero_s + (k + 1) / 2.4).volume_mm3)
-        found.append(volumes)
-    np.testing.assert_allclose(found[1], found[0], rtol=1e-9)
-    assert found[0][0] == pytest.approx(K_N * 0.3 * 9.81, rel=0.01)
-
-
 def test_reset_begins_a_new_press_and_so_does_a_clock_that_goes_back():
     simulation = Mujoco(7.0)
     sensor = simulation.attach(Sensor("gelsight_mini", contact=LAW))
@@ -181,16 +165,6 @@ def test_the_world_turned_and_moved_is_the_same_press(make):
         frame_of(make(world=TURN), ContactLaw.default()),
         grey=2,
     )
-
-
-def test_a_pull_beside_the_gels_middle_does_not_turn_the_object():
-    """Its moment about the gel's origin is that of the place alone."""
-    simulation = Mujoco(at_mm=(5.0, 0.0), pull_n=(0.0, 1.0))
-    sensor = simulation.attach(Sensor("gelsight_mini", contact=ContactLaw.default()))
-    simulation.step(20)
-    found = sensor._attached().contact()
-    assert found.force_n[1] > 0.5
-    assert abs(found.torsion_n_mm) < 0.02 * 5.0 * found.force_n[1]
 
 
 @pytest.fixture
@@ -382,10 +356,3 @@ def test_the_moment_of_a_contact_is_that_by_which_a_peg_is_turned(condim, pad, p
         assert abs(held_n_mm) >= 0.4 * abs(torque_n_mm) or condim == 3
         found = sensor._attached().contact()
         assert found.torsion_n_mm == pytest.approx(held_n_mm, abs=0.05)
-
-
-@pytest.mark.parametrize("radius_m", [0.0005, 0.003, 0.02])
-def test_a_small_capsule_is_whole(radius_m):
-    shape = _capsule(radius_m, 2 * radius_m)
-    assert shape.is_watertight
-    assert shape.volume == pytest.approx((2 + 4 / 3) * np.pi * radius_m**3, rel=3e-4)
