@@ -29,7 +29,9 @@ LONGEST = (
     "envs/test_grasping.py", "collection/test_run.py", "physics/test_closed_forms.py",
 )  # fmt: skip
 """Files that start first, since one that starts last keeps a process waiting for the other."""
-EXHAUSTIVE = ("fuzz", "slurm", "validation", "faults/test_random_kills.py")
+EXHAUSTIVE = (
+    "fuzz", "slurm", "validation", "faults/test_processors.py", "faults/test_random_kills.py",
+)  # fmt: skip
 """Folders and files that ``make test`` leaves to ``make test-all``; those of studies, too."""
 ENGINES = ("batch", "collection", "envs", "faults", "invariance", "physics/test_closed_forms.py",
            "physics/test_grasp.py", "physics/test_repeatability.py")  # fmt: skip

@@ -52,20 +52,16 @@ def test_the_wheel_alone_runs_in_an_empty_folder(wheel: Path, tmp_path: Path) ->
     _run(*uv, "venv", "--python", python, str(tmp_path / "env"), cwd=folder)
     options = ("--python", str(bin_folder / "python"), "--constraint", ROOT / "requirements.lock")
     _run(*uv, "pip", "install", *map(str, options), str(wheel), cwd=folder)
-    rig = (
-        "extends: rig_images\nname: small\nsensor: {name: gelsight_mini}\nschedule: {presses: 8}\n"
-    )
-    (folder / "rig_small.yaml").write_text(rig)
     for line in (
         "collect quickstart --out data",
         "view data --no-browser",
         "init project",
-        "rig rig_small.yaml --out session",
-        "calibrate lookup session/presses --out table.npz --report report",
+        "rig rig --out session",
+        "calibrate contact session/press_log.csv --out contact.yaml --report report",
     ):
         _run(str(bin_folder / "tacgen"), *line.split(), cwd=folder)
     assert (folder / "data" / "index.html").is_file()
-    assert (folder / "table.npz").is_file()
+    assert (folder / "contact.yaml").is_file()
 
 
 def _run(*command: str, cwd: Path) -> None:

@@ -60,6 +60,7 @@ print(json.dumps({{"refused": refused, "peak_mb": peak_mb}}))
 """
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_shards_damaged_at_random_are_refused(tmp_path):
     script = FUZZ.format(checkout=str(CHECKOUT), root=str(tmp_path / "toy"))

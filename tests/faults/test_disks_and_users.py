@@ -83,6 +83,7 @@ def test_a_full_disk_amid_training_states_names_the_file(tmp_path):
     assert files(tmp_path) == {path.name: whole}
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_rig_session_that_was_cut_short_is_finished(tmp_path):
     given = load_rig_recipe("rig_images")

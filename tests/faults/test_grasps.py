@@ -6,9 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from tacgen.cli import app
 from tacgen.collection.recipe import load_recipe
 from tacgen.collection.run import collect
 from tacgen.dataset import Dataset
@@ -47,19 +45,3 @@ def test_a_crash_and_a_hang_are_recorded_and_the_rest_goes_on(world, tmp_path, u
     # A crash belongs to its grasp: mended, the shards are what they would have been.
     collect(load_recipe(world), out, redo=[0, 1], progress=False)
     assert digests(out) == untroubled
-
-
-@pytest.mark.slow
-def test_repair_remakes_the_bad_shard_alone(world, tmp_path, untroubled):
-    out = tmp_path / "out"
-    collect(load_recipe(world), out, progress=False)
-    shard = out / "shards/shard-00001.h5"
-    content = bytearray(shard.read_bytes())
-    content[len(content) // 3] ^= 1
-    shard.write_bytes(content)
-    others = {path: path.stat().st_mtime_ns for path in out.glob("shards/*.h5") if path != shard}
-    run = CliRunner().invoke(app, ["collect", str(world), "--out", str(out), "--repair", "--json"])
-    assert run.exit_code == 0
-    assert '"shards_made": 1' in run.stdout
-    assert digests(out) == untroubled
-    assert {path: path.stat().st_mtime_ns for path in others} == others

@@ -54,10 +54,9 @@ def test_a_worker_and_then_the_parent_are_killed_and_the_next_run_finds_no_lock(
     assert digests(out) == untroubled
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "number", [signal.SIGKILL, pytest.param(signal.SIGHUP, marks=pytest.mark.exhaustive)]
-)
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGHUP])
 def test_nothing_outlives_a_killed_run(tmp_path, number):
     """No process and no temporary folder, five seconds later."""
     grid = "{force_n: [3, 25], y_mm: [0], z_mm: {linspace: [60, 140, 40]}}"

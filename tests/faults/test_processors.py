@@ -65,17 +65,7 @@ def usual(engine, tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "variant",
-    [
-        "numba for any processor",
-        *(
-            pytest.param(name, marks=pytest.mark.exhaustive)
-            for name in VARIANTS
-            if name != "numba for any processor"
-        ),
-    ],
-)
+@pytest.mark.parametrize("variant", VARIANTS)
 def test_the_bytes_are_the_same(world, tmp_path, engine, usual, variant):
     assert collected(tmp_path, engine, VARIANTS[variant]) == usual
 
@@ -89,7 +79,6 @@ def numbers(value, name=""):
     return {name: value}
 
 
-@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_diagnosis_has_the_same_names_and_figures(tmp_path):
     """Beside shards, which are equal, figures may differ by rounding alone."""

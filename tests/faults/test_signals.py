@@ -50,10 +50,9 @@ def test_collect_ends_whenever_it_is_interrupted(tmp_path: Path) -> None:
         assert said.splitlines()[-1].startswith("tacgen: interrupted")
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "layout", ["robomimic", pytest.param("images", marks=pytest.mark.exhaustive)]
-)
+@pytest.mark.parametrize("layout", ["robomimic", "images"])
 def test_exports_end_whenever_they_are_interrupted(layout: str, tmp_path: Path) -> None:
     data = collect_toy(tmp_path / "data", make_spec(n_grasps=400, shard_size=50)).root
     for k, after_s in enumerate((1.0, 1.3, 1.6)):

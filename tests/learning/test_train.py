@@ -176,6 +176,7 @@ def test_a_killed_run_goes_on_to_the_same_weights(toy, recipe, trained, tmp_path
     assert metrics_of(trained) == metrics_of(run)
 
 
+@pytest.mark.exhaustive
 def test_a_kill_between_model_and_checkpoint_does_no_harm(
     toy, recipe, trained, tmp_path, monkeypatch
 ):
@@ -260,6 +261,7 @@ def test_a_diverging_loss_stops_with_words_and_keeps_the_last_checkpoint(
     assert len(metrics_of(run)) == 1
 
 
+@pytest.mark.exhaustive
 def test_images_that_tell_nothing_leave_the_share_of_successes(tmp_path):
     """Four of five grasps hold; every image is noise. All are predicted near 0.8."""
 

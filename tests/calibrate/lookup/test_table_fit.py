@@ -79,6 +79,7 @@ def test_the_result_does_not_depend_on_the_number_of_processes(calibrated):
     assert one.heldout.rmse("refined") == two.heldout.rmse("refined")
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_rings_around_the_contact_are_scored_beside_the_bare_gel(calibrated):
     presses, result = calibrated

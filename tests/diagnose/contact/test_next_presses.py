@@ -61,6 +61,7 @@ def test_a_press_that_both_laws_predict_alike_separates_nothing():
     np.testing.assert_allclose(_separations(*laws), 0.0, atol=1e-9)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_creep_is_separated_by_longer_holds_than_the_log_has():
     # Holds of a quarter of a second hardly show a creep of some seconds.

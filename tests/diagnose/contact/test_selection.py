@@ -97,6 +97,7 @@ def test_a_delay_and_a_lead_are_told_before_they_are_fitted(delay_s, form, other
     assert gains.get(f"latency: {other}", 0.0) < 0.6 * base.loss
 
 
+@pytest.mark.exhaustive
 def test_causes_that_hide_each_other_in_few_trials_are_found_together():
     """Gains by temperature, place and radius, equally strong: one or two explain too little."""
     rng = np.random.default_rng(4)

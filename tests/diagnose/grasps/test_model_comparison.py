@@ -299,6 +299,7 @@ def test_a_torsion_counts_as_much_as_the_shifted_object_turns():
     assert at_once.margin[0] == pytest.approx(found[90, 100])
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_second_object_tells_the_force_from_the_mass():
     """A wrong force acts on both objects, a wrong mass on one."""

@@ -96,6 +96,7 @@ def test_grasps_to_make_next_separate_the_two_sides_of_a_shift():
     assert sides == [-21.0, 22.0]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_mass_predicts_what_the_inverse_force_does_where_nothing_turns(tmp_path):
     """Failure modes included: they would speak for whichever of the two was simulated."""
@@ -110,6 +111,7 @@ def test_a_mass_predicts_what_the_inverse_force_does_where_nothing_turns(tmp_pat
     assert mass.turning == pytest.approx(force.turning[::-1], abs=0.02)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_only_a_force_presses_the_patches_under_the_pads_larger(tmp_path):
     """So a mass is not quite another force: on a dome V = π a⁴ / 4R, and V grows with the force.

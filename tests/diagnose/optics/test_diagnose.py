@@ -62,12 +62,12 @@ def test_clean_presses_need_no_effect(kind):
     ("kind", "effect"),
     [
         ("three", "press_center"),
-        ("three", "scale"),
+        pytest.param("three", "scale", marks=pytest.mark.exhaustive),
         pytest.param("four", "illumination", marks=pytest.mark.exhaustive),
         pytest.param("three", "shadow", marks=pytest.mark.exhaustive),
         pytest.param("four", "blur", marks=pytest.mark.exhaustive),
         pytest.param("three", "background_gain", marks=pytest.mark.exhaustive),
-        ("three", "vignetting"),
+        pytest.param("three", "vignetting", marks=pytest.mark.exhaustive),
         pytest.param("four", "vignetting", marks=pytest.mark.exhaustive),
         ("three", "saturation"),
         pytest.param("three", "cross_talk", marks=pytest.mark.exhaustive),
@@ -95,6 +95,7 @@ def test_what_is_on_no_list_is_unexplained_and_says_what_it_follows(effect, cova
     assert names(diagnosis) == []
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_pattern_around_contacts_is_unexplained_and_said_to_follow_them():
     """A ring that is bright on one side: no listed effect has its form."""
@@ -167,6 +168,7 @@ def test_many_pictures_of_few_presses_are_too_few():
         diagnose_optics(several)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_several_pictures_of_each_press_count_as_one():
     table = table_of_before("three")
@@ -189,6 +191,7 @@ def test_a_table_of_another_resolution_is_refused():
         diagnose_optics(presses("three", count=12), table_of_before("four"))
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_gain_that_drifts_is_named_where_lamps_differ_from_picture_to_picture():
     clean = presses("three", count=24)
@@ -206,6 +209,7 @@ def test_a_gain_that_drifts_is_named_where_lamps_differ_from_picture_to_picture(
     assert diagnosis.rmse_after < 0.9 * diagnosis.rmse_before
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_labels_that_scatter_as_those_of_the_table_are_not_named():
     clean = presses("three")
