@@ -128,7 +128,6 @@ def test_phases_and_the_end_of_the_frames_are_kept_in_the_shard(tmp_path, monkey
     assert "end at the start of the lift" in (tmp_path / "data" / "README.md").read_text()
 
 
-@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_dataset_states_the_moment_and_uses_it_everywhere(tmp_path, monkeypatch):
     """Of a sequence, the frame of the moment is the image, depth and force of a single one."""
