@@ -24,7 +24,6 @@ from tacgen.physics.rest import topples_deg
 from tacgen.study.real_data import RealData
 from tacgen.study.run import check_finished, run_study
 from tacgen.study.study_recipe import load_study, run_folder_name, with_rows
-from tacgen.study.table import markdown_table
 from tests.learning.conftest import collect, make_spec, write_real
 from tests.small_world import SHORT_LIFT
 from tests.study.conftest import small_study
@@ -77,28 +76,6 @@ def _held(simulator, recipe, name, force_n, places) -> Iterator[bool]:
         config = GraspConfig(0, name, force_n, 0.0, y_mm, z_mm, 0.0)
         trace = run_grasp(simulator, grasped, config, settings, frames=FrameRequest())
         yield trace.label == 1
-
-
-def test_the_ablation_varies_size_friction_and_centre_of_mass():
-    study = load_study("paper_ablation")
-    sizes = [study.train_recipe(row, quick=False).training.grasps for row in study.rows[:4]]
-    assert sizes == [50, 100, 200, 500]
-    objects = [study.data_recipe(row, quick=False).objects[0] for row in study.rows[4:]]
-    assert [(entry.name, entry.friction) for entry in objects[:3]] == [
-        ("potted_meat_can", mu) for mu in (0.2, 0.45, 0.8)
-    ]
-    assert [entry.center_of_mass_offset_mm[1] for entry in objects[3:]] == [-30, 0, 8]
-
-
-def test_the_baselines_are_two_tables_and_tactos_law_with_and_without_its_margin():
-    study = load_study("paper_baselines")
-    recipes = [study.data_recipe(row, quick=False) for row in study.rows]
-    assert [recipe.sensor.name for recipe in recipes] == [
-        *("gelsight", "virtual_gelsight", "gelsight", "gelsight", "gelsight")
-    ]
-    assert [recipe.contact.collision_margin_mm for recipe in recipes] == [0, 0, 0, 0.1, 1]
-    # TACTO's 5 mm at 100 N.
-    assert [recipe.contact.k_depth_mm_per_n for recipe in recipes[2:]] == [0.05] * 3
 
 
 @pytest.mark.parametrize(
@@ -175,10 +152,6 @@ def test_rows_are_chosen_by_name():
     assert with_rows(study, []) == study
     with pytest.raises(RecipeError, match="has no row 'sequences'; its rows are .*'sequence'"):
         with_rows(study, ["sequences"])
-
-
-def test_a_table_in_markdown_escapes_bars():
-    assert markdown_table(("a", "b"), [("x|y", 1)]).splitlines()[-1] == "| x\\|y | 1 |"
 
 
 @pytest.fixture
