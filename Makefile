@@ -16,12 +16,12 @@ define patiently
 	beat=$$!; trap "kill $$beat" EXIT; $(1)
 endef
 # A test process is one core's work: libraries that start threads in each slow one another down.
-# One more than cores, since some tests wait for processes of their own.
+# A file's tests stay in one process, so that what they share is collected or trained once.
 # Tests start many processes, which shall not compile the package each.
-PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= \
-	$(BIN)/python -m pytest -n $(shell echo $$(($$(getconf _NPROCESSORS_ONLN) + 1))) --dist worksteal
+PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest \
+	-n $(shell getconf _NPROCESSORS_ONLN) --dist loadfile --no-loadscope-reorder
 
-.PHONY: setup demo network test test-all test-fast coverage slowest check format docs docs-serve bench trust \
+.PHONY: setup demo network test test-all test-fast test-other coverage slowest check format docs docs-serve bench trust \
 	lock clean
 
 setup: $(READY)
@@ -59,6 +59,10 @@ test-all: setup
 
 test-fast: setup
 	$(PYTEST) -m "not slow"
+
+# Physics and imports alone, for a second Python.
+test-other: setup
+	$(PYTEST) -m "not slow" tests/physics tests/test_architecture.py
 
 coverage: setup
 	$(PYTEST) -m "not slow" --cov=tacgen --cov-report=term:skip-covered

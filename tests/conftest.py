@@ -8,10 +8,11 @@ import pytest
 from tacgen.core.errors import missing_extra
 from tacgen.core.processes import start_early
 
-MEASURED_DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+ROOT = Path(__file__).resolve().parents[1]
+MEASURED_DATA = ROOT.parent / "shared" / "data"
 hypothesis.settings.register_profile("repeatable", derandomize=True)
 hypothesis.settings.load_profile("repeatable")
-NEED_LEARN = ("learning/*", "study/*", "validation/test_others.py")
+NEED_LEARN = ("learning/*", "study/*")
 HAS_LEARN = not missing_extra("learn", "")
 collect_ignore_glob = [] if HAS_LEARN else list(NEED_LEARN)
 
@@ -21,18 +22,36 @@ def pytest_report_header() -> str:
     return "" if HAS_LEARN else f"the extra `learn` is missing; not tested: {', '.join(NEED_LEARN)}"
 
 
-LONGEST = ("test_docs.py", "test_slurm.py")
-EXHAUSTIVE = ("fuzz", "slurm", "validation", "faults/test_random_kills.py")
-"""Folders and files of ``tests/`` that ``make test`` leaves to ``make test-all``."""
+LONGEST = (
+    "test_docs.py", "slurm/test_slurm.py", "batch/test_batch_sensor.py", "test_packaging.py",
+    "invariance/test_placement.py", "diagnose/optics/test_diagnose.py",
+    "diagnose/contact/test_diagnose.py", "learning/test_train.py", "learning/test_evaluate.py",
+    "envs/test_grasping.py", "collection/test_run.py", "physics/test_closed_forms.py",
+)  # fmt: skip
+"""Files that start first, since one that starts last keeps a process waiting for the other."""
+EXHAUSTIVE = (
+    "fuzz", "slurm", "validation", "faults/test_processors.py", "faults/test_random_kills.py",
+)  # fmt: skip
+"""Folders and files that ``make test`` leaves to ``make test-all``; those of studies, too."""
+ENGINES = ("batch", "collection", "envs", "faults", "invariance", "physics/test_closed_forms.py",
+           "physics/test_grasp.py", "physics/test_repeatability.py")  # fmt: skip
+"""Whose slow tests ``make test`` runs in PyBullet alone, where both engines are tested."""
+
+
+def is_in(place: str, places: tuple[str, ...]) -> bool:
+    return any(place == one or place.startswith(f"{one}/") for one in places)
 
 
 @pytest.hookimpl(tryfirst=True)  # before ``-m`` chooses
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest tests first: one that starts last keeps a process waiting for the other."""
-    items.sort(key=lambda item: item.path.name not in LONGEST)
+    """The longest files first, and what ``make test`` leaves out marked."""
+    places = {item: item.path.relative_to(ROOT).as_posix().removeprefix("tests/") for item in items}
+    items.sort(key=lambda item: LONGEST.index(places[item]) if places[item] in LONGEST else 99)
     for item in items:
-        place = item.path.relative_to(Path(__file__).parent).as_posix()
-        if any(place == one or place.startswith(f"{one}/") for one in EXHAUSTIVE):
+        given = item.callspec.params if hasattr(item, "callspec") else {}
+        is_mujoco = any(isinstance(value, str) and value == "mujoco" for value in given.values())
+        is_twice = is_mujoco and item.get_closest_marker("slow") and is_in(places[item], ENGINES)
+        if is_twice or is_in(places[item], EXHAUSTIVE):
             item.add_marker("exhaustive")
 
 

@@ -30,7 +30,6 @@ from tacgen.core.errors import (
 from tacgen.core.safe_io import read_rgb
 from tacgen.core.schema import read_yaml
 from tacgen.dataset import Dataset, DatasetFolder
-from tacgen.dataset.manifest import MAX_SHARD_GRASPS, parse_line
 from tacgen.objects.mesh_import import import_surface
 from tacgen.optics import load_table, save_table
 from tacgen.presses import lab_table
@@ -48,35 +47,18 @@ SECONDS = 5.0
     ("text", "words"),
     [
         ("!!bool foo", "cannot be read as bool"),
-        ("!!bool ''", "cannot be read as bool"),
-        ("!!timestamp x", "cannot be read as timestamp"),
         ("!!timestamp 2024-13-45", "cannot be read as timestamp"),
         ('!!int ""', "cannot be read as int"),
-        ("!!int 0x", "cannot be read as int"),
-        ("!!int 0b", "cannot be read as int"),
         ("!!float ''", "cannot be read as float"),
-        ("!!float 1.2.3", "cannot be read as float"),
         ("!!null x y", None),
-        ("!!seq x", "has the tag"),
-        ("!!map x", "has the tag"),
         ("!!set {a, b}", "has the tag"),
-        ("!!omap [a: 1]", "has the tag"),
-        ("!!pairs [a: 1]", "has the tag"),
-        ("!!binary aGVsbG8=", "has the tag"),
         ("!!str [1]", "has the tag"),
         ("!!python/name:os.system x", "has the tag"),
-        ("!mine x", "has the tag"),
         ("9" * 5000, "5000 letters, which is no number"),
-        ("0x" + "f" * 5000, "letters, which is no number"),
-        ("1." + "0" * 5000, "letters, which is no number"),
         ("1" + ":59" * 3000, "letters, which is no number"),
         ("1:30", "counts in sixties"),
-        ("-1:30:15", "counts in sixties"),
-        ("1:30.5", "counts in sixties"),
         ('"\\uD800"', "U+D800"),
-        ('"a\\uDFFFb"', "U+DFFF"),
         ('"\\0"', "U+0000"),
-        ('"\\e[31m"', "U+001B"),
         ('"\\UFFFFFFFF"', "character that there is not"),
         ("{? [a, b] : 1}", "a list or a mapping as a key"),
         ('{"\\uD800": 1}', "U+D800"),
@@ -99,14 +81,7 @@ def test_yaml(tmp_path, text, words):
     str(caught.value).encode()
 
 
-def test_a_description_that_is_no_text_is_refused_before_anything_is_written(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    path = write_world(tmp_path, description='"a \\uD83D b"')
-    with pytest.raises(RecipeError, match="description holds U"):
-        load_recipe(path)
-
-
-@pytest.mark.parametrize("force_n", [1e6, 1e308, 1001.0])
+@pytest.mark.parametrize("force_n", [1e308, 1001.0])
 def test_forces_beyond_any_gripper(tmp_path, monkeypatch, force_n):
     monkeypatch.chdir(tmp_path)
     grid = f"{{force_n: [{force_n}], y_mm: [0], z_mm: [60]}}"
@@ -172,13 +147,6 @@ def test_values_in_table_headers(tmp_path, key):
         assert key in str(caught.value) or "image model" in str(caught.value), value
 
 
-@pytest.mark.parametrize("key", ["mm_per_px", "max_slope_rad", "noise_grey", "effects", "sensor"])
-def test_keys_that_table_headers_lack(tmp_path, key):
-    lacking = {name: value for name, value in header_of(tmp_path).items() if name != key}
-    with pytest.raises(TableError, match=f"{key}"):
-        load_table(table_file(tmp_path, json.dumps(lacking)))
-
-
 def test_a_table_of_a_newer_tacgen_says_so(tmp_path):
     header = {**header_of(tmp_path), "lens": 1}
     with pytest.raises(TableError, match="made by a newer tacgen .its header has lens.; up"):
@@ -227,26 +195,6 @@ def test_a_table_that_unpacks_to_gigabytes_is_refused_before_it_is_unpacked(tmp_
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"index_range": [0, 10**15]}, "larger than any"),
-        ({"index_range": [10**15, 10**15 + 4]}, "larger than any"),
-        ({"index_range": [0, MAX_SHARD_GRASPS + 1]}, "larger than any"),
-        ({"raw_bytes": 0}, "raw_bytes"),
-        ({"bytes": 0}, "bytes"),
-        ({"pads": []}, "pads"),
-        ({"frames": 0}, "frames"),
-        ({"schema": 2}, "made by a newer tacgen"),
-    ],
-)
-def test_lines_of_manifests(tmp_path, changes, words):
-    folder = collect_toy(tmp_path / "data", make_spec(n_grasps=4))
-    line = json.loads(folder.line_path(0).read_text()) | changes
-    with pytest.raises(DatasetError, match=words):
-        parse_line(json.dumps(line), "manifest.jsonl:1")
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
         ({"n_shards": 10**10}, "10000000000|1e[+]10"),
         ({"n_grasps": 10**15}, "shards, more than"),
         ({"parts": ["x"]}, "missing or broken"),
@@ -260,15 +208,6 @@ def test_plans_of_datasets(tmp_path, changes, words):
     plan = json.loads(folder.plan_path.read_text()) | changes
     folder.plan_path.write_text(json.dumps(plan))
     with pytest.raises(DatasetError, match=words):
-        DatasetFolder(folder.root).plan()
-
-
-def test_a_plan_that_lacks_a_key_is_broken(tmp_path):
-    folder = collect_toy(tmp_path / "data", make_spec(n_grasps=4))
-    plan = json.loads(folder.plan_path.read_text())
-    del plan["inputs"]
-    folder.plan_path.write_text(json.dumps(plan))
-    with pytest.raises(DatasetError, match="missing or broken"):
         DatasetFolder(folder.root).plan()
 
 
@@ -452,9 +391,13 @@ def _is_empty(group, name):
 
 
 @pytest.mark.parametrize(
-    "replace", [_links, _leads_elsewhere, _lies_elsewhere, _swells, _is_a_group, _is_empty]
+    ("name", "replace"),
+    [
+        *(("data", one) for one in (_links, _is_a_group)),
+        *(("data/i0", one) for one in (_leads_elsewhere, _is_empty)),
+        *(("data/i0/gelsightA_after", one) for one in (_lies_elsewhere, _swells, _is_empty)),
+    ],
 )
-@pytest.mark.parametrize("name", ["data", "data/i0", "data/i0/gelsightA_after"])
 def test_pictures_in_hdf5_that_are_none(tmp_path, replace, name):
     path = READERS["feeling-of-success"].make(tmp_path)
     with h5py.File(path, "r+") as file:
@@ -475,10 +418,3 @@ def test_messages_neither_steer_the_terminal_nor_fill_it():
     assert len(text) < 2000
     assert len(str(TacgenError("\n".join("line" for _ in range(10**4)))).splitlines()) == 201
     assert str(TacgenError("Fläche in µm³,\nzwei Zeilen")) == "Fläche in µm³,\nzwei Zeilen"
-
-
-def test_the_sound_table_is_read(tmp_path):
-    """What the changes above are made to."""
-    table = load_table(table_file(tmp_path))
-    assert table.shape_px == (24, 32)
-    assert replace(table, noise_grey=2.0).noise_grey == 2.0

@@ -8,7 +8,6 @@ import re
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 import yaml
 from typer.testing import CliRunner
@@ -37,10 +36,6 @@ def test_quiet_prints_the_result_alone(arguments):
     assert "golf_ball" in run(*arguments).stdout
     assert run(*arguments).stderr == ""
     assert "next:\n  tacgen objects show" in run("objects", "list").stderr
-
-
-def test_what_follows_two_dashes_belongs_to_the_submitted_command():
-    assert "-q" in str(run("submit", "--", "nonsense", "-q").exception)
 
 
 def shell(*arguments, **environment):
@@ -74,20 +69,6 @@ def test_progress_without_a_terminal_is_one_line_a_minute(monkeypatch):
         "tacgen: 120 of 360 grasps, about 4 min left, 5 succeeded",
         "tacgen: 180 of 360 grasps, about 3 min left, 5 succeeded",
     ]
-
-
-def test_the_time_left_does_not_count_what_comes_before_the_first(monkeypatch):
-    log, now_s = io.StringIO(), [0.0]
-    monkeypatch.setattr(progress.sys, "stderr", log)
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now_s[0])
-    with progress.progress_counter("grasp") as show:
-        # Two processes compile for 50 s; each then makes a grasp in 4 s.
-        for done, at_s in enumerate([50.0, 50.5, *np.arange(54, 141, 2)], start=1):
-            now_s[0] = float(at_s)
-            show(done, 48)
-    lines = log.getvalue().splitlines()
-    assert lines[0].endswith("of 48 grasps, about 1 min left")  # 43 grasps at one in 2 s: 1.4 min
-    assert lines[1].endswith("about 0 min left")
 
 
 @pytest.mark.parametrize(

@@ -26,6 +26,7 @@ def submit(folder, *words):
     )
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_friction_as_a_job_finds_what_it_finds_by_itself(tmp_path):
     run = submit(tmp_path, "--json", "--", *write_friction_case(tmp_path))

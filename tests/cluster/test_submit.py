@@ -205,13 +205,6 @@ def test_a_later_submission_takes_over_what_an_earlier_one_lost(prepared, monkey
     assert states.status(out).queued == (0,)
 
 
-def test_the_next_number_is_tried_where_another_submission_takes_it_first(tmp_path, monkeypatch):
-    seen = iter([[], [tmp_path / "jobs/000"]])
-    monkeypatch.setattr(JobsFolder, "_folders", lambda self: next(seen))
-    (tmp_path / "jobs/000").mkdir(parents=True)  # made between the look and the attempt
-    assert JobsFolder(tmp_path).create().name == "001"
-
-
 def test_a_broken_record_is_named(prepared):
     out, _ = prepared
     record(out, {"7": None}).joinpath("submission.json").write_text('{"tasks": 3}')

@@ -94,14 +94,6 @@ def test_grasps_that_cannot_be_executed_are_avoided(tmp_path, monkeypatch):
     assert (table["y_mm"][80:] > 5).mean() < 0.35 / 2
 
 
-def test_of_equal_candidates_the_first_is_chosen():
-    made = np.array([[0.0], [1.0]])
-    twice = np.array([[0.5], [0.5], [0.25], [0.75]])
-    assert choose_near_border(made, np.array([0, 1]), twice, 1) == [0]
-    assert choose_near_border(made, np.array([-1, -1]), twice, 2) == [0, 1]
-    assert sorted(choose_near_border(made, np.array([1, 1]), twice, 9)) == [0, 1, 2, 3]
-
-
 def test_a_choice_halves_the_open_interval():
     """On one axis with a step the point half-way is the least certain one."""
     made, open_to = np.array([[0.2], [0.6]]), np.linspace(0, 1, 41)[:, None]

@@ -96,13 +96,3 @@ def test_an_object_held_without_friction_is_on_the_border():
     grasp = trace(2.0, 0.0, label=1)
     grasp.margin = SlipMargin(-1.0, 0.0, np.nan, np.zeros(2), 0.0, np.inf)
     assert confidence(grasp, EXACT_PLACE) == pytest.approx(0.5)
-
-
-def test_an_exact_repetition_has_the_same_label():
-    exact = Uncertainty(force_relative=0.0, friction_relative=0.0, position_mm=0.0)
-    for share in (0.9, 1.1):
-        assert confidence(trace(share, 0.5), exact) == 1.0
-
-
-def test_what_was_not_executed_has_none():
-    assert np.isnan(confidence(SimpleNamespace(margin=None, label=-1), EXACT_PLACE))

@@ -120,11 +120,3 @@ def test_no_configuration_is_on_both_sides_of_the_split(fraction, seed, forces):
     for name in RANGES:
         own = [g for g in planned if g.config.object == name]
         assert sum(g.split == "test" for g in own) == round(fraction * len(own))
-
-
-def test_shard_seed_and_index_agree_with_the_position():
-    planned = plan(dataset={"shard_size": 4})
-    assert [g.config.index for g in planned] == list(range(9))
-    assert [g.shard for g in planned] == [0, 0, 0, 0, 1, 1, 1, 1, 2]
-    assert len({g.seed for g in planned}) == 9
-    assert all(0 <= g.seed < 2**63 for g in planned)

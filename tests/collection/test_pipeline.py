@@ -11,7 +11,7 @@ from tacgen.collection.grid import plan_recipe
 from tacgen.collection.perturbed import recipe_object
 from tacgen.collection.pipeline import GraspPipeline, dataset_spec, tactile_pad
 from tacgen.collection.recipe import Contact, Grid, ObjectEntry, Recipe, load_recipe
-from tacgen.core.errors import RecipeError, TableError
+from tacgen.core.errors import TableError
 from tacgen.core.resources import packaged
 from tacgen.sensor.gel_response import gel_loads
 from tacgen.sensor.tactile_pad import Imprint, TactilePad
@@ -22,11 +22,6 @@ def test_a_shipped_contact_law_is_found_from_anywhere(tmp_path, monkeypatch):
     recipe = load_recipe("perturbed/other")
     assert contact_law(recipe.contact).effects
     assert set(dataset_spec(recipe, 10).calibration) == {"table", "contact_law"}
-
-
-def test_a_law_that_is_not_there_is_named():
-    with pytest.raises(RecipeError, match="no contact law named 'nowhere.yaml'"):
-        contact_law(Contact(file="nowhere.yaml"))
 
 
 def test_a_table_of_another_resolution_is_named_with_both():

@@ -38,11 +38,6 @@ def test_the_picture_has_its_size_and_shows_the_object():
     assert coloured(picture).mean() > 0.05
 
 
-def test_the_same_grasp_gives_the_same_picture():
-    first, second = (grasp_picture(BOX, CONFIG, trace(), 0, default_gripper()) for _ in range(2))
-    np.testing.assert_array_equal(first, second)
-
-
 def test_an_object_that_moved_is_seen_elsewhere():
     def middle(object_x_mm):
         return np.argwhere(
@@ -60,8 +55,3 @@ def test_a_pad_is_drawn_where_it_stands():
     ]
     assert (drawn[0] != drawn[1]).any()
     np.testing.assert_array_equal(drawn[1], drawn[2])
-
-
-def test_a_grasp_that_was_not_executed_shows_the_object_at_rest():
-    none = GraspTrace(CONFIG, "no_contact", -1, "", {}, np.zeros((0, 7)), 0.0, 0.0)
-    assert coloured(grasp_picture(BOX, CONFIG, none, 0, default_gripper())).any()

@@ -101,28 +101,6 @@ def test_a_rib_beside_the_window_is_pressed_in_before_the_plate_behind_it(volume
     assert imprint.status == "outside_window"
 
 
-def test_a_rib_beside_the_window_is_pressed_through_first():
-    """The gel of 4 mm is at its backing under the rib while the plate has 3 mm of it."""
-    rib, plate = box((2, 10, 9), (10, 0, 4.5)), box((10, 10, 4), (0, 0, 3))
-    imprint = pressed(FLAT, solid(rib, plate), 1e4)
-    assert imprint.saturated
-    assert imprint.indentation_mm == pytest.approx(3.0, abs=1e-5)
-
-
-def test_what_is_beyond_the_gel_does_not_touch_it():
-    ball = trimesh.creation.icosphere(subdivisions=4, radius=4.0)
-    alone = pressed(FLAT, solid(ball), 12.0)
-    beside = pressed(FLAT, solid(ball, box((4, 4, 20), (16, 0, 0))), 12.0)
-    np.testing.assert_array_equal(beside.depth_mm, alone.depth_mm)
-    assert beside.share == 1.0
-
-
-def test_nothing_over_the_gel_is_no_imprint():
-    imprint = pressed(FLAT, solid(box((4, 4, 4), (20, 0, 0))), 12.0)
-    assert imprint.is_beside_gel
-    assert (imprint.share, imprint.status, imprint.volume_mm3) == (0.0, "outside_window", 0.0)
-
-
 def test_the_depth_law_counts_from_first_touch_on_the_whole_gel():
     rib, plate = box((2, 10, 4), (10, 0, 2)), box((10, 10, 4), (0, 0, 3))
     load = GelLoad(indentation_mm=1.4)

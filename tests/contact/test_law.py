@@ -1,7 +1,6 @@
 """The contact law: closed forms, the file, and what it says about wrong input."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -40,18 +39,6 @@ def test_a_linear_law_is_proportional():
     volume, shear = ContactLaw.linear(5.0, 0.8).predict(COLUMNS)
     np.testing.assert_allclose(volume, 5.0 * COLUMNS["force_normal_n"])
     np.testing.assert_allclose(shear[:, 1], 0.8 * COLUMNS["force_shear_y_n"])
-
-
-def test_without_shear_columns_the_motion_is_zero():
-    columns = {name: COLUMNS[name] for name in ("trial", "time_s", "force_normal_n")}
-    assert not ContactLaw.linear(5.0, 0.8).predict(columns)[1].any()
-
-
-def test_a_held_load_creeps():
-    held = COLUMNS | {"force_normal_n": np.full(5, 2.0)}
-    volume, _ = law_with(creeping()).predict(held)
-    expected = 10.0 * (1 + 0.2 * (1 - np.exp(-held["time_s"] / 2.0)))
-    np.testing.assert_allclose(volume, expected, rtol=1e-12)
 
 
 def test_a_law_survives_its_file(tmp_path):
@@ -128,11 +115,6 @@ def test_the_collision_margin_loses_the_contact_below_a_force(tmp_path):
 def test_a_margin_that_cannot_be_is_refused(margin_mm):
     with pytest.raises(ContactError, match="collision_margin_mm"):
         tactos(margin_mm)
-
-
-def test_a_volume_has_no_collision_margin():
-    with pytest.raises(ContactError, match="collision_margin_mm = 0.1 needs linear_depth"):
-        replace(ContactLaw.linear(5.0), collision_margin_mm=0.1)
 
 
 @pytest.mark.parametrize(("low", "up", "gap_mm"), [("m", "m", 2.0), ("m", "b", 1.0), ("b", "b", 0)])

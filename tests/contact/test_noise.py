@@ -46,8 +46,3 @@ def test_steps_between_presses_are_no_noise():
     levels = np.repeat(np.arange(N_PRESSES), N_ROWS)[:, None] * 50.0
     expected = pytest.approx(sample_noise(white(), STARTS), rel=1e-9)
     assert sample_noise(white() + levels, STARTS) == expected
-
-
-def test_presses_of_two_samples_tell_no_noise():
-    assert np.isnan(sample_noise(white()[:8], np.array([0, 2, 4, 6, 8])))
-    assert np.isnan(sample_noise(white()[:0], np.array([0])))

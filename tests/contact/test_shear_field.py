@@ -168,36 +168,3 @@ def test_tractions_sum_to_the_force_and_points_to_ds_law(share):
     points = field.nodes_mm.reshape(-1, 2)
     summed = field.motion_mm(state, points, 2.5).sum(axis=0) * cell_mm2
     np.testing.assert_allclose(summed, 2.5 * min(1.0, 0.98 / share) * force_n, rtol=0.02)
-
-
-def test_the_window_shows_what_the_law_says_of_a_force_in_its_middle():
-    """Where motion goes on beyond the window's border too: D is measured in the window."""
-    field = ShearField(16.0, 12.0, 2.0)
-    state = field.step(ball(field, radius_mm=1.5), np.array([1.0, 0.0]), 0.0, CENTER, 1e6)
-    summed = field.motion_mm(state, field.nodes_mm.reshape(-1, 2), 3.0).sum(axis=0)
-    assert summed[0] * field.lattice_mm**2 == pytest.approx(3.0, rel=0.02)
-
-
-def test_the_past_is_kept_until_the_contact_is_lost():
-    field = ShearField(14.0, 12.0, 1.5)
-    straight = pulled(field, 1.0)
-    back = pulled(field, 1.0, pulled(field, 2.8))
-    assert np.abs(back.traction - straight.traction).max() > 0.1 * np.abs(straight.traction).max()
-    still = pulled(field, 1.0, straight)
-    np.testing.assert_allclose(still.traction, straight.traction, atol=1e-4)
-    gone = pulled(field, 0.0, back, pressure=np.zeros(field.shape))
-    assert not gone.sheet.any()
-    again = pulled(field, 1.0, gone)
-    np.testing.assert_array_equal(again.traction, straight.traction)
-
-
-def test_a_mirrored_pull_moves_the_gel_in_the_mirror():
-    field = ShearField(14.0, 12.0, 1.5)
-    pressure = ball(field, (2.0, 1.0))
-    force_n, center = np.array([1.2, -0.7]), np.array([2.0, 1.0])
-    plain = field.step(pressure, force_n, 1.5, center, MU)
-    mirror = np.array([-1.0, 1.0])
-    other = field.step(pressure[:, ::-1], force_n * mirror, -1.5, center * mirror, MU)
-    np.testing.assert_allclose(
-        field.surface(other)[:, ::-1] * mirror, field.surface(plain), atol=3e-4
-    )

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from tacgen.core.errors import DatasetError
-from tacgen.core.records import GRASPS, PRESS_LOG, PRESSES, similar_columns, unit_problems
-from tacgen.dataset.real_grasps import CONFIGURATION, REQUIRED, read_real_grasps
-from tacgen.presses import press_folder, press_log
+from tacgen.core.records import GRASPS, PRESS_LOG, similar_columns, unit_problems
+from tacgen.dataset.real_grasps import read_real_grasps
 
 
 @pytest.mark.parametrize(
@@ -29,12 +28,6 @@ def test_known_columns_and_covariates_are_not_suspected():
     columns = [*PRESS_LOG, "temperature_c", "operator", "humidity_percent", "gel_age_days"]
     assert similar_columns(columns, PRESS_LOG, "log.csv") == []
     assert similar_columns([*GRASPS, "operator", "x_m"], GRASPS, "g.csv") == []
-
-
-def test_the_lists_of_columns_are_those_that_are_read():
-    assert set(press_log.CONTRACT) == set(PRESS_LOG)
-    assert set(press_folder.NUMBERS) | {"file"} == set(PRESSES)
-    assert {*REQUIRED, *CONFIGURATION} < set(GRASPS)
 
 
 @pytest.mark.parametrize(

@@ -50,11 +50,3 @@ def test_a_frame_and_a_second_count_in_this_order():
 def test_names_without_one_order_are_refused(names, said):
     with pytest.raises(TacgenError, match=said):
         order_of(names)
-
-
-def test_a_fraction_that_starts_with_zero_is_a_decimal():
-    assert order_of(["0.5.png", "0.05.png", "0.25.png"]) == ["0.05.png", "0.25.png", "0.5.png"]
-
-
-def test_one_picture_may_have_any_name():
-    assert order_of(["press.png"]) == ["press.png"]

@@ -87,15 +87,6 @@ def test_a_turn_by_exif_is_made_as_other_readers_make_it(tmp_path, capsys, orien
     assert said == (orientation != 1 and kind == "PNG")
 
 
-def test_a_turned_jpeg_is_turned(tmp_path):
-    exif = Image.Exif()
-    exif[0x0112] = 3
-    half = np.zeros((16, 32, 3), np.uint8)
-    half[:, :16] = 200
-    Image.fromarray(half).save(tmp_path / "a.jpg", exif=exif, quality=95)
-    assert read_rgb(tmp_path / "a.jpg")[:, 16:].min() > 150
-
-
 @pytest.mark.parametrize(("quality", "said"), [(70, True), (95, False)])
 def test_coarse_jpeg_and_palettes_are_said(tmp_path, capsys, quality, said):
     Image.fromarray(RGB).save(tmp_path / "a.jpg", quality=quality)
@@ -128,11 +119,6 @@ def test_floats_of_0_to_1_and_of_0_to_255_are_the_same_picture(dtype):
 def test_other_arrays_are_refused(values):
     with pytest.raises(TacgenError, match="what stands for white is not known"):
         rgb_of_array(values, "a")
-
-
-def test_channels_first_are_refused():
-    with pytest.raises(TacgenError, match="channels last"):
-        rgb_of_array(np.moveaxis(RGB, -1, 0), "a")
 
 
 def test_a_damaged_file_is_no_image(tmp_path):

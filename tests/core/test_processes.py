@@ -1,7 +1,6 @@
 """The supervisor: nothing is lost when a worker dies, hangs or fails."""
 
 import contextlib
-import itertools
 import os
 import pickle
 import signal
@@ -21,7 +20,6 @@ from tacgen.core import processes
 from tacgen.core.errors import TacgenError
 from tacgen.core.processes import map_in_processes, run_tasks
 
-CHECKOUT = Path(__file__).parents[2]
 ITEMS_PER_TASK = 4
 
 
@@ -123,13 +121,6 @@ def test_waiting_for_a_core_is_no_time_of_a_process():
             one.join()
 
 
-def test_an_item_that_waits_for_a_core_does_not_hang(tmp_path, monkeypatch):
-    waits_s = itertools.count(step=10.0)
-    monkeypatch.setattr(processes, "waited_for_a_core_s", lambda _pid: next(waits_s))
-    done, _ = results(tmp_path, {6: "long"}, limit_s=1.0)
-    assert done[1] == items_of(1)
-
-
 def test_an_item_that_hangs_is_left_out(tmp_path):
     done, events = results(tmp_path, {6: "hang"}, limit_s=3.0)
     assert done[1] == [4, 5, 7]
@@ -150,24 +141,6 @@ def test_a_worker_that_falls_silent_between_items_is_replaced_and_nothing_is_los
     done, events = results(tmp_path, {"after 5": "hang_once"}, workers=1, limit_s=3.0)
     assert done == {task: items_of(task) for task in range(3)}
     assert [event.kind for event in events if event.kind not in ("item", "done")] == ["retried"]
-
-
-def test_a_worker_that_dies_between_two_looks_loses_no_task(tmp_path, monkeypatch):
-    look = processes._end_if_hung
-    killed = []
-
-    def look_and_kill(worker, progress, limit_s):
-        yield from look(worker, progress, limit_s)
-        if worker.item == 5 and not killed:
-            worker.process.kill()
-            worker.process.join()
-            killed.append(worker.task)
-
-    monkeypatch.setattr(processes, "_end_if_hung", look_and_kill)
-    done, events = results(tmp_path, {5: "slow"}, workers=1)
-    assert killed == [1]
-    assert done == {task: items_of(task) for task in range(3)}
-    assert [event.task for event in events if event.kind == "retried"] == [1]
 
 
 def test_a_task_whose_worker_is_always_killed_stops_the_run_with_the_cause(tmp_path):
@@ -202,17 +175,6 @@ def test_an_error_in_a_mapped_process_keeps_its_words(method):
         map_in_processes(refused, [4, 5], 2, method=method)
 
 
-def whereabouts(_item):
-    return os.getpid(), map_in_processes(lambda _: os.getpid(), [0, 1], 2)
-
-
-def test_a_mapped_process_starts_no_others():
-    """Each has a core to itself; theirs would take it from the rest."""
-    for own, of_items in map_in_processes(whereabouts, [0, 1], 2):
-        assert own != os.getpid()
-        assert of_items == [own, own]
-
-
 def handlers(_item):
     return signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)
 
@@ -225,40 +187,6 @@ def test_mapped_processes_do_not_handle_signals_as_the_command_line_does():
     finally:
         signal.signal(signal.SIGTERM, before)
     assert found == [(signal.SIG_DFL, signal.SIG_IGN)] * 2
-
-
-LATE_COPY = """
-import itertools, os, signal, time
-from tacgen.core.errors import Interrupted, TacgenError
-from tacgen.core.processes import map_in_processes
-
-def refused(item):
-    raise TacgenError(f"item {item} is wrong; fix it")
-
-def interrupt(*_):
-    raise Interrupted
-
-def not_yet_run():
-    # As if the machine were too busy to run the second copy for a second.
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
-    time.sleep(next(started) - 1)
-    signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-started = itertools.count()
-os.register_at_fork(before=lambda: next(started), after_in_child=not_yet_run)
-signal.signal(signal.SIGTERM, interrupt)
-try:
-    map_in_processes(refused, [4, 5], 2)
-except TacgenError as error:
-    print(error)
-"""
-
-
-def test_an_error_ends_a_mapped_process_that_has_hardly_begun():
-    """What a handler raises in it there is lost; it would wait for the lock of one that ended."""
-    command = [sys.executable, "-c", LATE_COPY]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=60, cwd=CHECKOUT)
-    assert run.stdout == "item 4 is wrong; fix it\n", run.stderr
 
 
 def test_leaving_early_ends_every_process(tmp_path):

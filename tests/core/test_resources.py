@@ -48,10 +48,3 @@ def test_where_there_is_no_other_it_says_that_a_recipe_was_found():
         contact_law_path("mine.yaml")
     with pytest.raises(RecipeError, match=r"mine\.yaml is the recipe itself: no recipe named"):
         find_recipe("mine", extended_by=Path("mine.yaml"))
-
-
-def test_a_sensor_with_rows_of_markers_is_no_recipe(tmp_path):
-    """A key of a section is none of the file: `rows` of `markers` made it a recipe."""
-    own = tmp_path / "own.yaml"
-    own.write_text("name: own\nmarkers:\n  rows: 7\n  columns: 9\n  objects: 1\n")
-    assert sensor_path(str(own)) == own

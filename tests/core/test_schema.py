@@ -5,7 +5,7 @@ from pydantic import BaseModel, ConfigDict
 
 from tacgen.core.errors import RecipeError
 from tacgen.core.resources import packaged
-from tacgen.core.schema import dotted, read_yaml, validate
+from tacgen.core.schema import read_yaml, validate
 
 
 class Inner(BaseModel):
@@ -24,10 +24,6 @@ def write(folder, name, text):
     path = folder / name
     path.write_text(text)
     return path
-
-
-def test_dotted_names_read_like_the_file():
-    assert dotted(("grid", "force_n", 2)) == "grid.force_n[2]"
 
 
 def test_every_problem_is_listed_with_its_line(tmp_path):

@@ -1,6 +1,7 @@
 """Small synthetic grasps: no physics, but every array a real dataset has."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -143,9 +144,15 @@ def spec() -> DatasetSpec:
     return make_spec()
 
 
-@pytest.fixture
-def toy(tmp_path: Path, spec: DatasetSpec) -> DatasetFolder:
-    """A finished dataset of ten grasps in three shards, merged."""
-    folder = collect_toy(tmp_path / "toy", spec)
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished dataset of ten grasps in three shards, merged. Do not change it."""
+    folder = collect_toy(tmp_path_factory.mktemp("finished") / "toy", make_spec())
     folder.merge()
-    return folder
+    return folder.root
+
+
+@pytest.fixture
+def toy(tmp_path: Path, finished: Path) -> DatasetFolder:
+    """A copy of it of one's own."""
+    return DatasetFolder(shutil.copytree(finished, tmp_path / "toy"))

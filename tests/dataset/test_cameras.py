@@ -3,6 +3,7 @@
 import io
 import json
 import re
+import shutil
 import tarfile
 
 import cv2
@@ -12,7 +13,7 @@ import pytest
 
 from tacgen.core.errors import DatasetError
 from tacgen.core.records import Camera
-from tacgen.dataset import Dataset
+from tacgen.dataset import Dataset, DatasetFolder
 from tacgen.dataset.export import FORMATS, export_dataset
 from tacgen.dataset.gallery import write_gallery
 from tacgen.dataset.grasp_page import write_grasp_page
@@ -117,6 +118,14 @@ def test_a_dataset_without_cameras_says_so(toy):
         assert "camera" not in file
 
 
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    """A dataset to damage copies of."""
+    folder = collect_toy(tmp_path_factory.mktemp("sound") / "data", SPECS["grasp"])
+    folder.merge()
+    return folder.root
+
+
 def _without_intrinsics(file):
     del file["camera/left/rgb"].attrs["K"]
 
@@ -160,9 +169,8 @@ def _with_a_number_without_a_name(file):
         (_with_a_number_without_a_name, "segmentation: the image .* has a number without a name"),
     ],
 )
-def test_a_damaged_shard_is_reported(tmp_path, damage, message):
-    toy = collect_toy(tmp_path / "data", SPECS["grasp"])
-    toy.merge()
+def test_a_damaged_shard_is_reported(tmp_path, sound, damage, message):
+    toy = DatasetFolder(shutil.copytree(sound, tmp_path / "data"))
     with h5py.File(toy.shard_path(0), "r+") as file:
         damage(file)
     vouch_for(toy, 0)

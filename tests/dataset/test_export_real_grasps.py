@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tacgen.cli import app
-from tacgen.core.errors import DatasetError, TacgenError
+from tacgen.core.errors import DatasetError
 from tacgen.dataset import Dataset
 from tacgen.dataset.export import export_dataset
 from tacgen.dataset.real_grasps import read_real_grasps
@@ -56,8 +56,3 @@ def test_what_cannot_be_exported_is_refused_before_anything_is_written(
     with pytest.raises(DatasetError, match=words):
         export_dataset(toy.root, tmp_path / "out", **given)
     assert [path.name for path in tmp_path.iterdir()] == ["toy"]
-
-
-def test_an_existing_folder_is_not_written_into(toy):
-    with pytest.raises(TacgenError, match="exists already; give a new folder"):
-        export_dataset(toy.root, toy.root, "real-grasps")

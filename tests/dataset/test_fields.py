@@ -13,7 +13,6 @@ import pandas as pd
 import pytest
 
 from tacgen.dataset import Dataset
-from tacgen.dataset.schema import FIELDS, Layout
 
 CHECKOUT = Path(__file__).parents[2]
 
@@ -83,18 +82,3 @@ def test_every_array_of_a_shard_is_an_entry_and_the_other_way_round(toy):
     with h5py.File(toy.shard_path(0)) as file:
         assert set(paths(file)) == {path for _, _, path in layout.placed()}
     assert "/tactile/gelsight/depth_mm" not in {path for _, _, path in layout.placed()}
-
-
-def test_names_are_unique_and_say_their_unit():
-    places = [path for _, _, path in Layout("s", ("left", "right")).placed()]
-    assert len(set(places)) == len(places)
-    for field in FIELDS:
-        for unit in ("mm", "n", "rad", "s"):
-            if field.name.endswith(f"_{unit}"):
-                assert field.unit.lower().startswith(unit)
-
-
-def test_columns_of_a_vector_are_named_by_axis():
-    named = {field.name: field.column_names for field in FIELDS if field.group == "contact"}
-    assert named["force_shear_n"] == ("force_shear_x_n", "force_shear_y_n")
-    assert named["indentation_mm"] == ("indentation_mm",)

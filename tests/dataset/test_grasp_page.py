@@ -34,11 +34,6 @@ def test_the_page_shows_frames_forces_and_depth(data, tmp_path):
     assert "can: success" in text
 
 
-def test_a_grasp_that_was_not_executed_has_its_status(data, tmp_path):
-    write_grasp_page(data, 4, tmp_path / "page.html")
-    assert "unreachable" in (tmp_path / "page.html").read_text()
-
-
 def test_the_command_names_the_page(data, tmp_path):
     result = CliRunner().invoke(app, ["view", str(data), "--grasp", "2", "--no-browser"])
     assert result.exit_code == 0, result.output
@@ -140,10 +135,3 @@ def test_paths_are_in_the_images_pixels():
     # A cell of 8 × 12 px; the largest force fills a square of 8 px about its middle, (20, 18).
     assert squares == "M16.0 14.0h8.0v8.0h-8.0z"
     assert arrows.startswith("M20.0 18.0l2.0 0.0m-0.7 0.3")
-
-
-@pytest.mark.parametrize(
-    ("largest_mm", "gain"), [(0.0, 1), (3.0, 1), (0.9, 2), (0.4, 5), (0.12, 10), (0.019, 100)]
-)
-def test_motion_is_drawn_as_large_as_there_is_room(largest_mm, gain):
-    assert overlays.gain_of(largest_mm, 2.0) == gain

@@ -42,8 +42,13 @@ def run_again(folder, spec):
     return made
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", ["shards/shard-00001.json", "manifest.jsonl", "dataset.json"])
+RECORDS = ("shards/shard-00001.json", "manifest.jsonl", "dataset.json")
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [(RECORDS[k % 3], kind) for k, kind in enumerate([*KINDS, "missing", "empty"])],
+)
 def test_a_spoiled_record_is_mended_by_the_next_run(toy, spec, name, kind):
     before = digests(toy.root)
     KINDS[kind](toy.root / name)
@@ -63,7 +68,7 @@ def test_a_broken_line_is_its_shards_fault(toy):
         toy.merge()
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["random bytes", "endless", "missing"])
 def test_a_spoiled_recipe_is_told_and_written_again(toy, spec, kind):
     text = toy.recipe_path.read_text()
     KINDS[kind](toy.recipe_path)
@@ -110,13 +115,6 @@ def test_a_folder_where_a_file_should_be_is_named(toy, spec, name):
     (toy.root / name).mkdir()
     with pytest.raises(DatasetError, match=f"{name}: is a directory; remove it"):
         run_again(toy, spec)
-
-
-def test_odd_names_among_the_locks_are_passed_over(toy):
-    (toy.root / "shards/shard-x.lock").write_text("")
-    (toy.root / "shards/shard-00002.lock").mkdir()
-    os.mkfifo(toy.root / "shards/shard-00001.lock")
-    assert toy.running() == []
 
 
 def test_shards_that_may_not_be_read_are_not_taken_for_none(toy, monkeypatch):

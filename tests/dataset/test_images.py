@@ -74,11 +74,6 @@ def test_images_of_many_blocks_are_read_back(height, width):
         assert np.array_equal(read_back(image), image), kind
 
 
-def test_a_view_is_encoded_as_its_copy():
-    image = make_image("noise", 40, 60, 1)
-    assert encode_image(image[::2, ::-1]) == encode_image(image[::2, ::-1].copy())
-
-
 def test_noise_of_one_grey_level_shrinks_as_far_as_differences_let_it():
     """Two such pixels differ by a normal of variance 2 (1 + 1/12): 2.6 of 8 bits by its entropy."""
     image = np.rint(np.random.default_rng(3).normal(120, 1, (480, 640, 3))).astype(np.uint8)

@@ -84,19 +84,6 @@ def test_poseit_frames_end_with_the_second_before_the_next_phase(tmp_path):
     assert shown == [50] * (4 * 24)
 
 
-def test_poseit_frames_with_times_of_their_own_end_where_the_next_phase_begins(tmp_path):
-    folder = tmp_path / "set" / f"cup_{SECOND}_F40_pose3"
-    (folder / "gelsight").mkdir(parents=True)
-    (folder / "stages.csv").write_text(f"grasping,{SECOND + 0.25}\npose,{SECOND + 1.5}\n")
-    (folder / "label.csv").write_text("grasp,drop\n")
-    for k, time in enumerate((0.2, 0.3, 1.4, 1.5)):
-        path = folder / "gelsight" / f"gelsight_{k}_{SECOND + time}.jpg"
-        cv2.imwrite(str(path), np.full((8, 8, 3), 50 * k, np.uint8))
-    import_grasps("poseit", tmp_path / "set", tmp_path / "out")
-    (grasp,) = read_real_grasps(tmp_path / "out", needs=()).grasps
-    assert [int(cv2.imread(str(path))[0, 0, 0]) for path in grasp.images] == [50, 100]
-
-
 @pytest.mark.parametrize(
     ("labels", "label"),
     [

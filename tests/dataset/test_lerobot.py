@@ -96,14 +96,6 @@ def test_statistics_are_those_of_all_frames(exported, toy):
     assert stats["observation.state"]["mean"][0] == pytest.approx(forces.mean())
 
 
-def test_two_pads_are_two_cameras(tmp_path):
-    toy = collect_toy(tmp_path / "toy", make_spec(pads=("left", "right")))
-    export_dataset(toy.root, tmp_path / "out", "lerobot")
-    features = json.loads((tmp_path / "out/meta/info.json").read_text())["features"]
-    assert "observation.images.gelsight_left" in features
-    assert features["observation.state"]["names"][4] == "right.force_normal_n"
-
-
 def test_refusals_leave_nothing(toy, tmp_path):
     with pytest.raises(DatasetError, match="--format 'zarr' is not known"):
         export_dataset(toy.root, tmp_path / "out", "zarr")
@@ -113,15 +105,6 @@ def test_refusals_leave_nothing(toy, tmp_path):
     with pytest.raises(DatasetError, match="shard is missing"):
         export_dataset(toy.root, tmp_path / "out", "lerobot")
     assert [path.name for path in tmp_path.iterdir()] == ["toy"]
-
-
-@pytest.mark.parametrize("robot", ["wsg50", "ur5e_wsg50", None])
-def test_the_robot_is_the_recipes(tmp_path, robot):
-    recipe = {"name": "toy"} | ({"robot": {"name": robot}} if robot else {})
-    toy = collect_toy(tmp_path / "data", make_spec(recipe=recipe))
-    export_dataset(toy.root, tmp_path / "out", "lerobot")
-    info = json.loads((tmp_path / "out/meta/info.json").read_text())
-    assert info["robot_type"] == robot
 
 
 @pytest.mark.parametrize(("n_frames", "span_s", "fps"), [(24, 3.0, 23 / 3), (25, 3.0, 8)])

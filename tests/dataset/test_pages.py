@@ -15,7 +15,7 @@ from tacgen.dataset.gallery import shown_grasps, thumbnails, write_gallery
 from tacgen.dataset.inputs import Inputs
 from tacgen.dataset.summary import write_card
 
-from .conftest import TOUCH, collect_toy, make_sample, make_spec
+from .conftest import collect_toy, make_sample, make_spec
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
@@ -40,12 +40,6 @@ def test_gallery_needs_no_network_and_shows_every_grasp(toy):
     assert [point["outcome"] for point in points].count("success") == 5
     # Grasp 1: 6 N at the last of three frames, half of it at the moment of grasp.
     assert points[1]["normal"] == 3.0
-
-
-def test_gallery_of_an_unfinished_dataset_says_so(tmp_path, spec):
-    collect_toy(tmp_path, spec, shards=(0, 2))
-    page = write_gallery(tmp_path).read_text()
-    assert "of 10 planned" in page
 
 
 def test_gallery_of_a_large_dataset_is_bounded_and_says_so(toy, monkeypatch):
@@ -118,14 +112,6 @@ def test_a_margin_says_what_its_sign_means(sliding, turning, label, texts):
     assert [text for _, text in gallery._margins(values)] == texts
 
 
-def test_a_gallery_draws_the_markers_motion_where_there_is_some(toy, tmp_path):
-    assert 'name="motion"' not in write_gallery(toy.root).read_text()
-    spec = make_spec(pads=("left", "right"), **TOUCH)
-    page = write_gallery(collect_toy(tmp_path, spec).root).read_text()
-    assert re.search(r'name="motion"> motion of the markers, \d+×', page)
-    assert page.count('<svg class="motion"') == 2 * 8  # of both pads of the executed grasps
-
-
 def test_names_in_a_gallery_are_shown_not_run(tmp_path):
     recipe = {"name": "toy", "description": "<script>alert(1)</script>"}
     collect_toy(tmp_path, make_spec(recipe=recipe))
@@ -138,12 +124,8 @@ def test_names_in_a_gallery_are_shown_not_run(tmp_path):
     ("state", "shown"),
     [
         ("", {0, 1, 2, 3, 4, 5, 6, 7, 8, 9}),
-        ("label=1", {1, 2, 5, 7, 8}),
         ("label=0&object=cup", {0, 6}),
-        ("label=-1", {4, 9}),
-        ("low=8&high=10", {3, 4, 5}),
-        ("outcome=rotational_slip", {3}),
-        ("split=test", {3, 7}),
+        ("low=8&high=10&outcome=rotational_slip", {3}),
         ("split=test&motion=1", {3, 7}),
     ],
 )
@@ -151,13 +133,6 @@ def test_filters_of_the_gallery(toy, tmp_path, state, shown):
     page = write_gallery(toy.root)
     assert shown_in_browser(page, state, tmp_path) == shown
     assert Path(page).stat().st_size < 1_000_000
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
-def test_the_gallery_filters_by_what_a_picture_shows(seen, tmp_path):
-    page = write_gallery(seen.root)
-    assert shown_in_browser(page, "picture=shows+a+contact", tmp_path) == {0, 1, 2, 3, 7, 8}
 
 
 def shown_in_browser(page, state, tmp_path):

@@ -29,20 +29,6 @@ def test_an_item_holds_what_was_written(toy):
     assert dataset[-1]["index"] == 9
 
 
-def test_slices_are_lists_of_items(toy):
-    dataset, _ = toy
-    assert [item["index"] for item in dataset[2:8:3]] == [2, 5]
-    assert [item["index"] for item in dataset] == dataset.indices.tolist()
-    with pytest.raises(IndexError):
-        dataset[10]
-
-
-def test_it_says_what_it_is(toy):
-    text = repr(toy[0])
-    assert "10 grasps" in text
-    assert "3 frames of 32×24 px from gelsight on left" in text
-
-
 def test_torch_takes_executed_grasps_of_one_side(toy):
     torch = pytest.importorskip("torch")
     dataset, spec = toy
@@ -95,21 +81,6 @@ def test_noise_at_load_is_that_of_a_camera(noiseless):
         assert abs(np.corrcoef(left.ravel(), other.ravel())[0, 1]) < 0.03
 
 
-def test_noise_at_load_is_always_the_same(noiseless):
-    root, _ = noiseless
-    first, again = Dataset(root), Dataset(root)
-    assert np.array_equal(first[3]["rgb"], again[3]["rgb"])
-    assert np.array_equal(first.rgb(3, "right", 2), again.read(3).pads["right"].rgb[2])
-
-
-def test_noise_at_load_is_not_stored(noiseless):
-    root, spec = noiseless
-    with h5py.File(root / "shards" / "shard-00000.h5") as file:
-        assert file.attrs["noise_at_load_grey"] == 2.0
-        stored = file["/tactile/gelsight_left/rgb"][1]
-    assert np.array_equal(stored, make_sample(1, spec).pads["left"].rgb)
-
-
 @pytest.mark.parametrize("value", [np.nan, -1.0, "2", [1.0, 2.0]])
 def test_noise_at_load_that_is_no_deviation_is_refused(noiseless, value):
     root, _ = noiseless
@@ -119,8 +90,3 @@ def test_noise_at_load_that_is_no_deviation_is_refused(noiseless, value):
         file.attrs["noise_at_load_grey"] = value
     with pytest.raises(DatasetError, match="noise_at_load_grey is not a standard deviation"):
         open_shard(path)
-
-
-def test_what_was_not_executed_has_no_noise(noiseless):
-    root, _ = noiseless
-    assert not Dataset(root)[4]["rgb"].any()

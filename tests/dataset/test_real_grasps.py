@@ -40,17 +40,6 @@ def test_of_names_that_do_not_fit_the_plain_numbers_are_taken_and_the_others_nam
     assert "2_.png, 3_.png not used" in unused[0]
 
 
-def test_other_files_are_named(tmp_path):
-    (tmp_path / "images" / "g0").mkdir(parents=True)
-    (tmp_path / "images" / "g0" / "clip.mp4").write_bytes(b"")
-    (tmp_path / "images" / "g0" / "0.png").write_bytes(cv2.imencode(".png", PICTURE)[1].tobytes())
-    row = {"grasp_id": ["g0"], "object": ["can"], "label": [1]}
-    pd.DataFrame(row).to_csv(tmp_path / "grasps.csv", index=False)
-    found = read_real_grasps(tmp_path, needs=())
-    assert [path.name for path in found.grasps[0].images] == ["0.png"]
-    assert any("clip.mp4 not used" in warning for warning in found.warnings)
-
-
 def test_names_without_any_order_give_no_pictures_and_say_why(tmp_path):
     found, unused = images_of(tmp_path, ["after.png", "before.png"])
     assert found == []

@@ -12,7 +12,6 @@ import pytest
 
 from tacgen.dataset import Dataset
 from tacgen.dataset.export import export_dataset
-from tacgen.dataset.export.robomimic import write_next
 
 from .conftest import collect_toy, make_spec
 
@@ -45,14 +44,6 @@ def test_every_observation_has_an_axis_of_values_and_a_next_one(exported):
             np.testing.assert_array_equal(demo["obs/left_force_normal_n"][:, 0], pad.force_normal_n)
             assert demo["obs/left_force_shear_n"].shape == (dataset.n_frames, 2)
             assert demo["obs/left_rgb"].shape == pad.rgb.shape
-
-
-def test_one_frame_is_its_own_next(tmp_path):
-    with h5py.File(tmp_path / "one.hdf5", "w") as file:
-        demo = file.create_group("demo_0")
-        demo["obs/left_rgb"] = np.arange(12, dtype=np.uint8).reshape(1, 2, 2, 3)
-        write_next(demo)
-        np.testing.assert_array_equal(demo["next_obs/left_rgb"], demo["obs/left_rgb"])
 
 
 def test_nothing_in_it_tells_when_it_was_written(exported):

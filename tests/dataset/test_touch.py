@@ -86,15 +86,6 @@ def test_torch_gives_the_channels_of_both_pads_as_a_dictionary(dataset):
     assert next(iter(loader))["force_field_n"].shape == (4, 2, 3, 3, 4, 3)
 
 
-def test_torch_transforms_images_or_dictionaries(dataset):
-    pytest.importorskip("torch")
-    plain, doubled = dataset.torch()[0], dataset.torch(transform=lambda rgb: 2 * rgb)[0]
-    np.testing.assert_allclose(doubled[0], 2 * plain[0])
-    assert doubled[1] == plain[1]
-    found = dataset.torch(channels=("rgb",), transform=lambda sample: sorted(sample))[0]
-    assert found == ["label", "rgb"]
-
-
 def test_what_is_not_kept_is_said_with_the_way_to_keep_it(toy):
     plain = Dataset(toy.root)
     assert plain.touch_names == ()
@@ -108,15 +99,6 @@ def test_what_is_not_kept_is_said_with_the_way_to_keep_it(toy):
     pytest.importorskip("torch")
     with pytest.raises(DatasetError, match="has no depth_mm"):
         plain.torch(channels=("rgb", "depth_mm"))
-
-
-def test_depth_of_the_moment_of_grasp_alone_is_that_of_its_frame(tmp_path):
-    folder = collect_toy(tmp_path / "data", make_spec(depth=True))
-    data = Dataset(folder.root, partial=True)
-    assert data.touch(0, "depth_mm").shape == (24, 32)
-    assert data.touch(0, "depth_mm", frame=1).shape == (24, 32)  # the moment is frame 1
-    with pytest.raises(DatasetError, match=r"of the moment of grasp alone.*depth: all"):
-        data.touch(0, "depth_mm", frame=2)
 
 
 def test_every_export_holds_it_of_both_pads(dataset, tmp_path):
@@ -179,15 +161,6 @@ def _flat(nested):
     for one in nested:
         found += _flat(one) if np.ndim(one) or isinstance(one, np.ndarray) else [float(one)]
     return found
-
-
-def test_markers_without_their_places_at_rest_are_refused(tmp_path):
-    toy = collect_toy(tmp_path / "data", make_spec(**TOUCH))
-    with h5py.File(toy.shard_path(0), "r+") as file:
-        del file["/tactile/gelsight/markers_mm"].attrs["rest_mm"]
-    vouch_for(toy, 0)
-    problems = [problem.reason for problem in verify(toy.root).problems]
-    assert any("markers_mm has no attribute rest_mm" in text for text in problems)
 
 
 def test_a_value_that_is_not_finite_is_found(tmp_path):

@@ -1,6 +1,5 @@
 """What an image does not show of its force: in shards, manifest, summary, pages and exports."""
 
-import json
 import re
 from dataclasses import replace
 
@@ -103,12 +102,6 @@ def test_a_warning_lists_the_grasps_with_nothing_to_see_and_what_to_change(datas
         assert fix in first
 
 
-def test_a_contact_that_is_cut_off_is_no_warning(dataset):
-    summary = summarize(dataset.root)
-    assert not any("cut off" in line for line in validity_lines(summary))
-    assert len(cut_off_line(summary)) == 1
-
-
 def test_a_dataset_of_which_all_images_show_their_force_says_nothing(toy):
     summary = summarize(toy.root)
     assert [*validity_lines(summary), *cut_off_line(summary)] == []
@@ -152,16 +145,3 @@ def test_exports_have_them(dataset, tmp_path):
     frames = pd.read_csv(tmp_path / "contact" / "g00000.csv")
     assert frames["saturated"].tolist() == [0, 1, 1]
     assert frames["no_contact"].tolist() == [1, 0, 0]
-
-
-def test_lerobots_frames_have_them(dataset, tmp_path):
-    parquet = pytest.importorskip("pyarrow.parquet")
-    from tacgen.dataset.export import export_dataset
-
-    export_dataset(dataset.root, tmp_path / "out", "lerobot")
-    table = parquet.read_table(tmp_path / "out" / "data").to_pandas()
-    features = json.loads((tmp_path / "out/meta/info.json").read_text())["features"]
-    named = [f"{pad}.{name}" for pad in ("left", "right") for name in NAMES]
-    assert {features[name]["dtype"] for name in named} == {"bool"}
-    assert table[[name for name in named if "saturated" in name]].to_numpy().sum() == 3
-    assert table[[name for name in named if "outside_window" in name]].to_numpy().sum() == 1

@@ -81,11 +81,6 @@ def test_a_pair_is_found_where_neither_is_enough_alone():
     assert members(problem) == {0, 1}
 
 
-def test_one_at_a_time_does_not_find_it():
-    rules = SearchRules(max_growth=1, max_exchanges=0)
-    assert members(Sums(*hidden_pair(), least=0.5, rules=rules)) == set()
-
-
 def test_no_more_members_than_the_rules_allow():
     rules = SearchRules(max_members=2)
     found = members(Sums(ORTHOGONAL, ORTHOGONAL @ np.arange(6.0), least=0.01, rules=rules))

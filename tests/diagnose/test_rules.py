@@ -10,25 +10,18 @@ import pytest
 import tacgen.diagnose as package
 from tacgen.diagnose.contact.channel import ChannelSamples
 from tacgen.diagnose.contact.search import ContactProblem
-from tacgen.diagnose.rules import CONTACT, GRASPS, MARKERS, OPTICS, ContactRules
+from tacgen.diagnose.rules import CONTACT, GRASPS, MARKERS, OPTICS
 from tacgen.rig import load_rig_recipe, simulate_session
 from tacgen.rig.rig_recipe import RigEffect
 
 FOLDER = Path(next(iter(package.__path__)))
-RULES = (FOLDER / "rules.py").read_text()
 SOURCES = [path.read_text() for path in FOLDER.rglob("*.py") if path.name != "rules.py"]
-REASONS = dict(re.findall(r"^    (\w+): .* = .*  # (.+)$", RULES, re.MULTILINE))
 EVERY = {rule.name for one in (CONTACT, MARKERS, OPTICS, GRASPS) for rule in fields(one)}
 
 
-@pytest.mark.parametrize("rule", fields(ContactRules), ids=lambda rule: rule.name)
-def test_a_rule_has_a_reason(rule):
-    assert REASONS[rule.name]
-
-
-@pytest.mark.parametrize("name", sorted(EVERY))
-def test_a_rule_is_used(name):
-    assert any(re.search(rf"(rules|GRASPS)\.{name}\b", text) for text in SOURCES)
+def test_every_rule_is_used():
+    used = {name for text in SOURCES for _, name in re.findall(r"(rules|GRASPS)\.(\w+)", text)}
+    assert used >= EVERY
 
 
 @pytest.mark.slow

@@ -18,12 +18,9 @@ from tacgen.envs.regrasp import (
     WORLDS,
     Costs,
     _checked_pad,
-    _grasps_of,
     by_touch,
-    look_rise_mm,
     regrasp,
     simulate,
-    standing_seeds,
 )
 from tacgen.learning.run_folder import RunFolder
 from tests.envs.regrasp_world import FEW, SECTIONS, regrasp_world
@@ -89,17 +86,6 @@ def test_it_goes_on_where_it_was_and_gives_the_same(result, world, tmp_path):
     assert json.loads((out / RESULT).read_text()) == again
 
 
-def test_other_costs_simulate_nothing_anew(result, world, tmp_path):
-    out = tmp_path / "costs"
-    shutil.copytree(world / "out", out)
-    before = (out / WORLDS).read_bytes()
-    recipe = load_recipe(world / "small.yaml")
-    cheap = regrasp(world / "run", recipe, out, **(FEW | {"costs": Costs(1.0, 2.0)}))
-    assert (out / WORLDS).read_bytes() == before
-    # A regrasp that costs more than a drop is never made.
-    assert [one["mean_regrasps"] for one in cheap["by_touch"]] == [0, 0, 0]
-
-
 def test_the_command_prints_json(world, capsys, monkeypatch, result):
     words = [str(world / "run"), str(world / "small.yaml"), "--out", str(world / "out")]
     options = ["--episodes", "3", "--worlds", "3", "--regrasps", "2", "--json"]
@@ -149,34 +135,7 @@ def test_a_run_that_sees_a_camera_is_refused(world, tmp_path):
         _checked_pad(tmp_path / "run", load_recipe(world / "small.yaml"))
 
 
-def test_a_recipe_that_leaves_nothing_unknown_is_warned_of(world, tmp_path, capsys):
-    few = FEW | {"episodes": 2, "worlds": 2}
-    regrasp(world / "run", changed(tmp_path, randomize="{yaw_rad: 0.01}"), tmp_path / "out", **few)
-    assert "nothing of an object is unknown" in capsys.readouterr().err
-
-
-def test_a_look_that_shows_how_the_lift_ends_is_refused(tmp_path):
-    recipe = changed(tmp_path, frames="{mode: sequence, count: 3, span_s: 1.5}")
-    with GraspPipeline(recipe) as pipeline:
-        trace = pipeline.simulate(_grasps_of(recipe)["sugar_box"][1]).trace
-    assert look_rise_mm(trace, recipe, 1) == 0.0  # the moment of grasp
-    with pytest.raises(LearningError, match=r"shorten frames\.span_s in both recipes"):
-        look_rise_mm(trace, recipe, 2)
-
-
 def test_what_is_no_run_is_refused(world, tmp_path):
     recipe = load_recipe(world / "small.yaml")
     with pytest.raises(LearningError, match="tacgen train"):
         regrasp(world / "data", recipe, tmp_path / "out", **FEW)
-
-
-def test_seeds_of_imagined_worlds_and_episodes_differ_and_depend_on_the_seed_alone(world):
-    recipe = load_recipe(world / "small.yaml")
-    pipeline, planned = GraspPipeline(recipe), _grasps_of(recipe)["sugar_box"][0]
-    seeds = [
-        standing_seeds(pipeline, planned, seed, 4, is_episode=is_episode)
-        for seed in (0, 1)
-        for is_episode in (False, True)
-    ]
-    assert len({one for listed in seeds for one in listed}) == 16
-    assert standing_seeds(pipeline, planned, 0, 2, is_episode=True) == seeds[1][:2]

@@ -7,7 +7,7 @@ import pytest
 
 from tacgen.collection.recipe import load_recipe
 from tacgen.collection.run import collect
-from tests.dataset.conftest import spec, toy  # noqa: F401
+from tests.dataset.conftest import finished, spec, toy  # noqa: F401
 from tests.small_world import write_world
 
 

@@ -2,7 +2,6 @@
 
 import itertools
 import os
-import threading
 import time
 from types import SimpleNamespace
 
@@ -10,7 +9,6 @@ import numpy as np
 
 from tacgen.cluster import states
 from tacgen.core import processes
-from tacgen.core.files import open_locked
 from tacgen.core.processes import run_tasks
 from tacgen.dataset.verify import verify
 from tests.core.test_processes import ITEMS_PER_TASK, Script
@@ -57,14 +55,3 @@ def test_a_job_that_was_suspended_blames_no_grasp(tmp_path, monkeypatch):
     slow = Script(tmp_path, dict.fromkeys(range(2 * ITEMS_PER_TASK), "brief"))
     events = list(run_tasks(range(2), slow, workers=1, item_limit_s=60.0))
     assert {event.kind for event in events} == {"item", "done"}
-
-
-def test_somebody_looking_at_a_lock_does_not_scare_a_writer_off(toy):
-    """``tacgen status`` tries the locks; a writer that comes at that instant tries again."""
-    descriptor, held = open_locked(toy.lock_path(1))
-    assert held
-    release = threading.Timer(0.03, os.close, [descriptor])
-    release.start()
-    with toy.claim(1, redo=True) as mine:
-        assert mine
-    release.join()

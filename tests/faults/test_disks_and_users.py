@@ -4,7 +4,6 @@ import contextlib
 import os
 import resource
 import socket
-import stat
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,8 +13,8 @@ import numpy as np
 import pytest
 
 from tacgen.cluster import submission
-from tacgen.collection.recipe import Cluster, load_recipe
-from tacgen.core.errors import ClusterError, DatasetError, LearningError, TacgenError
+from tacgen.collection.recipe import Cluster
+from tacgen.core.errors import DatasetError, LearningError, TacgenError
 from tacgen.core.files import (
     atomic_folder,
     atomic_path,
@@ -24,7 +23,6 @@ from tacgen.core.files import (
     locked,
     refuse_existing,
 )
-from tacgen.dataset import DatasetFolder
 from tacgen.dataset.export import export_dataset
 from tacgen.dataset.shard import open_shard
 from tacgen.dataset.verify import verify
@@ -72,22 +70,6 @@ def test_a_full_disk_ends_an_export_with_one_message_and_nothing_left(layout, tm
     assert files(tmp_path) == before
 
 
-@pytest.mark.slow
-def test_a_full_disk_ends_robomimics_export_as_a_command(tmp_path):
-    """HDF5 would end the whole process when it closes the file, which no test survives."""
-    data = collect_toy(tmp_path / "data", make_spec(n_grasps=20)).root
-    command = (
-        f"ulimit -f 4; exec {sys.executable} -Bm tacgen export data --format robomimic --out e"
-    )
-    run = subprocess.run(
-        ["bash", "-c", command], cwd=data.parent, capture_output=True, text=True, check=False
-    )
-    assert run.returncode == 2, run.stderr
-    assert run.stderr.splitlines()[-1].startswith("tacgen: e: file too large")
-    assert "Traceback" not in run.stderr
-    assert [path.name for path in tmp_path.iterdir()] == ["data"]
-
-
 def test_a_full_disk_amid_training_states_names_the_file(tmp_path):
     path = tmp_path / "checkpoint.pt"
     torch, checkpoint = pytest.importorskip("torch"), pytest.importorskip(CHECKPOINT)
@@ -101,16 +83,7 @@ def test_a_full_disk_amid_training_states_names_the_file(tmp_path):
     assert files(tmp_path) == {path.name: whole}
 
 
-def test_a_run_folder_that_was_begun_on_a_full_disk_is_the_runs(tmp_path):
-    run = RunFolder(tmp_path / "run")
-    with largest_file(1024), pytest.raises(LearningError, match="file too large"):
-        run.prepare({"schema": 1}, {"name": "x" * 5000})
-    assert run.plan_path.is_file()
-    assert not run.recipe_path.is_file()
-    with pytest.raises(LearningError, match="not of this version"):  # it is looked at, not foreign
-        run.prepare({"schema": 1}, {"name": "x"})
-
-
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_rig_session_that_was_cut_short_is_finished(tmp_path):
     given = load_rig_recipe("rig_images")
@@ -170,16 +143,6 @@ def test_an_export_removes_what_a_killed_one_left_but_not_of_one_at_work(tmp_pat
         (partial / "file").write_text("whole")
     assert files(tmp_path) == {"out/file": b"whole"}
     assert not left.exists()
-
-
-def test_weights_can_be_read_by_whoever_the_umask_lets(tmp_path):
-    torch, checkpoint = pytest.importorskip("torch"), pytest.importorskip(CHECKPOINT)
-    before = os.umask(0o022)
-    try:
-        checkpoint.save_state(tmp_path / "checkpoint.pt", {"a": torch.zeros(3)})
-    finally:
-        os.umask(before)
-    assert stat.S_IMODE((tmp_path / "checkpoint.pt").stat().st_mode) == 0o644
 
 
 def as_nobody(ask) -> str:
@@ -262,39 +225,12 @@ def test_words_are_printed_in_every_locale(tmp_path):
     assert "µ is a guess" in run.stdout.decode("utf-8")
 
 
-def test_a_second_submission_at_the_same_time_is_refused(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    recipe = load_recipe(write_world(tmp_path))
-    jobs = tmp_path / "out/jobs"
-    jobs.mkdir(parents=True)
-    with (
-        locked(jobs / ".lock"),
-        pytest.raises(
-            ClusterError, match=r"process \d+ on .* is submitting it; see `tacgen status"
-        ),
-    ):
-        submission.submit(recipe, tmp_path / "out", "local")
-
-
 @pytest.mark.parametrize(("minutes", "warned"), [(1, True), (2, True), (5, False)])
 def test_a_time_limit_that_leaves_no_time_is_warned_of(minutes, warned, tmp_path, capsys):
     with contextlib.suppress(RuntimeError, FileNotFoundError, AssertionError):  # without Slurm
         submission._engine(tmp_path, "slurm", Cluster(time_min=minutes), "r")
     said = "leaves hardly any time to work" in capsys.readouterr().err
     assert said == warned
-
-
-def other_version(folder: DatasetFolder) -> None:
-    """Every shard says that another version made it."""
-    for path in [*folder.root.glob("shards/*.json"), folder.manifest_path]:
-        path.write_text(path.read_text().replace('"tacgen": "', '"tacgen": "0.'))
-
-
-def test_shards_that_are_all_of_another_version_are_all_to_be_repaired(tmp_path):
-    folder = collect_toy(tmp_path / "data", make_spec())
-    folder.merge()
-    other_version(folder)
-    assert verify(folder.root).bad_shards == (0, 1, 2)
 
 
 def test_what_repair_cannot_mend_is_told_apart_from_what_it_can(tmp_path):
@@ -313,30 +249,3 @@ def test_what_repair_cannot_mend_is_told_apart_from_what_it_can(tmp_path):
     folder.shard_path(7).unlink()
     assert verify(folder.root).foreign == ()
     np.testing.assert_equal(folder.shard_path(0).read_bytes(), shard)
-
-
-@pytest.mark.slow
-def test_verify_and_repair_agree(tmp_path):
-    """After ``collect --repair`` ends with 0, ``verify`` does so too; both end with 1 otherwise."""
-    recipe = write_world(tmp_path, grid="{force_n: [3, 25], y_mm: [0], z_mm: [60]}")
-
-    def tacgen(*arguments):
-        return subprocess.run(
-            [sys.executable, "-m", "tacgen", *arguments, *(() if arguments[0] == "verify" else
-             (str(recipe), "--out", "out", "--workers", "1"))],
-            cwd=tmp_path, env=os.environ, capture_output=True, text=True, check=False,
-        )  # fmt: skip
-
-    assert tacgen("collect").returncode == 0
-    folder = DatasetFolder(tmp_path / "out")
-    whole = folder.shard_path(0).read_bytes()
-    other_version(folder)
-    assert tacgen("verify", "out").returncode == 1
-    assert tacgen("collect", "--repair").returncode == 0
-    assert tacgen("verify", "out").returncode == 0
-    assert folder.shard_path(0).read_bytes() == whole
-    folder.shard_path(5).write_bytes(whole)
-    for arguments in (("collect", "--repair"), ("verify", "out")):
-        run = tacgen(*arguments)
-        assert run.returncode == 1
-        assert "shards/shard-00005.h5: is not in the manifest: no shard of this data" in run.stderr

@@ -6,9 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from tacgen.cli import app
 from tacgen.collection.recipe import load_recipe
 from tacgen.collection.run import collect
 from tacgen.dataset import Dataset
@@ -47,42 +45,3 @@ def test_a_crash_and_a_hang_are_recorded_and_the_rest_goes_on(world, tmp_path, u
     # A crash belongs to its grasp: mended, the shards are what they would have been.
     collect(load_recipe(world), out, redo=[0, 1], progress=False)
     assert digests(out) == untroubled
-
-
-@pytest.mark.slow
-def test_three_crashes_in_a_row_stop_with_the_cause(world, tmp_path):
-    run = collect_faulty(world, tmp_path / "out", "2=segfault", "3=segfault", "4=segfault")
-    assert run.returncode == 2
-    assert "3 grasps in a row crashed, the last (4)" in run.stderr
-    assert "SIGSEGV" in run.stderr
-    assert "Traceback" not in run.stderr
-    assert list(digests(tmp_path / "out")) == ["shard-00000.h5", "shard-00001.h5"]
-
-
-@pytest.mark.slow
-def test_a_folder_that_vanishes_amid_the_work_ends_it_with_one_message(world, tmp_path, untroubled):
-    out = tmp_path / "out"
-    run = collect_faulty(world, out, "3=vanish")
-    assert run.returncode == 2
-    assert "Traceback" not in run.stderr
-    assert str(out) in run.stderr
-    assert not (out / "shards").exists()
-    Path(f"{out}.gone").rename(out)
-    collect(load_recipe(world), out, progress=False)
-    assert digests(out) == untroubled
-
-
-@pytest.mark.slow
-def test_repair_remakes_the_bad_shard_alone(world, tmp_path, untroubled):
-    out = tmp_path / "out"
-    collect(load_recipe(world), out, progress=False)
-    shard = out / "shards/shard-00001.h5"
-    content = bytearray(shard.read_bytes())
-    content[len(content) // 3] ^= 1
-    shard.write_bytes(content)
-    others = {path: path.stat().st_mtime_ns for path in out.glob("shards/*.h5") if path != shard}
-    run = CliRunner().invoke(app, ["collect", str(world), "--out", str(out), "--repair", "--json"])
-    assert run.exit_code == 0
-    assert '"shards_made": 1' in run.stdout
-    assert digests(out) == untroubled
-    assert {path: path.stat().st_mtime_ns for path in others} == others

@@ -12,6 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 DROPPED = "-dac_override,-dac_read_search"
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_commands_compile_into_a_temporary_folder_and_say_so(tmp_path: Path) -> None:
     """With the rights of root to write anywhere dropped, if it is root that tests."""

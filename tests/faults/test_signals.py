@@ -50,6 +50,7 @@ def test_collect_ends_whenever_it_is_interrupted(tmp_path: Path) -> None:
         assert said.splitlines()[-1].startswith("tacgen: interrupted")
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 @pytest.mark.parametrize("layout", ["robomimic", "images"])
 def test_exports_end_whenever_they_are_interrupted(layout: str, tmp_path: Path) -> None:
@@ -156,22 +157,3 @@ tacgen.cli.main()
     )
     assert done.stderr == "tacgen: interrupted; finished work is kept\n"
     assert done.returncode == 130
-
-
-def test_a_signal_on_the_way_out_does_not_spoil_what_is_done():
-    """After the last line of a command, when Python takes its handlers down."""
-    script = """
-import os, signal, sys
-import tacgen.cli
-class Late:
-    def __del__(self, kill=os.kill, pid=os.getpid(), number=signal.SIGTERM):
-        kill(pid, number)
-def app():
-    sys.kept_to_the_end = Late()
-    print("done")
-tacgen.cli.app = app
-tacgen.cli.main()
-"""
-    command = [sys.executable, "-c", script]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "done\n", "")

@@ -44,13 +44,6 @@ def test_two_columns_of_a_stamp_are_one_clock(tmp_path, whole, part, in_ns, is_n
     assert not any("share their time" in warning for warning in read.warnings)
 
 
-def test_two_columns_that_are_no_stamp_stay_as_they_are(tmp_path):
-    log, stamp_ns = session()
-    path = tmp_path / "log.csv"
-    log.assign(time_s=(stamp_ns - START_NS) * 1e-9, s=0.5, ns=7).to_csv(path, index=False)
-    assert {"s", "ns"} <= set(read_press_log(path).columns)
-
-
 @pytest.mark.parametrize(("step_s", "is_said"), [(0.05, False), (0.2, True), (1.0, True)])
 def test_a_clock_too_coarse_for_its_samples_is_said(tmp_path, step_s, is_said):
     log, stamp_ns = session()
@@ -74,11 +67,3 @@ def test_a_header_marked_as_a_remark_is_read_beside_text(tmp_path, text, remark)
     assert len(read) == len(log)
     np.testing.assert_allclose(read["force_normal_n"], log["force_normal_n"])
     assert set(text) <= set(read.columns)
-
-
-def test_a_remark_above_a_header_stays_a_remark(tmp_path):
-    log, stamp_ns = session()
-    path = tmp_path / "log.csv"
-    table = log.assign(time_s=(stamp_ns - START_NS) * 1e-9, operator="ann").to_csv(index=False)
-    path.write_text("# number, N, mm3, mm, s, name\n" + table)
-    assert list(read_press_log(path).columns) == [*log.columns, "time_s", "operator"]

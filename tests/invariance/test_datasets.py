@@ -16,11 +16,11 @@ from tacgen.collection.perturbed import Perturbation, simulate_perturbed
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe, load_recipe
 from tacgen.collection.run import collect, prepare
-from tacgen.core.errors import DatasetError, TacgenError
+from tacgen.core.errors import DatasetError
 from tacgen.core.records import GraspConfig
 from tacgen.core.resources import find_object_folder, gripper_path
 from tacgen.dataset import Dataset, DatasetFolder
-from tacgen.dataset.inputs import Inputs, changed_roles
+from tacgen.dataset.inputs import Inputs
 from tacgen.dataset.verify import verify
 from tests.dataset.conftest import collect_toy, make_spec
 from tests.small_world import write_world
@@ -193,15 +193,6 @@ def test_a_dataset_of_another_library_is_not_resumed(world, monkeypatch):
         prepare(load_recipe(world), Path("out"))
 
 
-def test_a_project_is_no_place_for_a_dataset(world):
-    recipe = world.rename(world.with_name("recipe.yaml"))
-    before = recipe.read_text()
-    with pytest.raises(TacgenError, match=r"recipe\.yaml: is there already, and not from a run"):
-        prepare(load_recipe(recipe), world.parent)
-    assert recipe.read_text() == before
-    assert not (world.parent / "dataset.json").exists()
-
-
 # Two worlds in one folder.
 
 
@@ -233,24 +224,6 @@ def test_a_shard_of_another_world_is_not_taken_for_done(tmp_path):
         pass
     with toy.claim(1, redo=True) as mine:
         assert mine
-
-
-def test_a_line_names_the_objects_of_its_own_shard_alone(tmp_path):
-    toy = collect_toy(tmp_path, make_spec(inputs=inputs("cc"), shard_size=1))
-    lines = toy.manifest()
-    assert set(lines[1].inputs) == {"sensor", "object/can"}
-    assert set(lines[2].inputs) == {"sensor", "object/cup"}
-
-
-def test_shards_of_another_grid_are_not_taken_for_its_own(world):
-    """Of the same settings and as many grasps, so that nothing but the grasps differs."""
-    prepare(load_recipe(world), Path("out"))
-    _, spec = prepare(load_recipe(world), Path("out"))
-    edit(world, grid={"force_n": [3, 24], "y_mm": [0], "z_mm": [60, 90, 140]})
-    _, other = prepare(load_recipe(world), Path("other"))
-    assert changed_roles(spec.inputs.sha256, other.inputs.sha256) == ["grid/0"]
-    with pytest.raises(DatasetError, match=r"grid.force_n: \[3.0, 25.0\] there, \[3.0, 24.0\] now"):
-        prepare(load_recipe(world), Path("out"))
 
 
 # Growing: what is there stays as it is.
@@ -425,15 +398,6 @@ def test_a_kept_outcome_is_of_its_own_law_and_object(world):
     edit(object_yaml(world), friction=0.02)
     last, kept = outcome(load_recipe(world))
     assert (last.label, kept) == (0, False)
-
-
-def test_a_torn_line_does_not_swallow_the_next(world):
-    recipe = load_recipe(world)
-    outcome(recipe)
-    path = Path("kept/outcomes.jsonl")
-    path.write_text(path.read_text()[:-40])
-    outcome(recipe)
-    assert outcome(recipe)[1]
 
 
 def test_an_object_beside_the_recipe_is_found_by_name_and_path(world):

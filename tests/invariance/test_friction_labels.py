@@ -7,7 +7,6 @@ from tacgen.calibrate.friction.sweep import data_warnings, fit_friction, mu_rang
 from tacgen.collection.perturbed import Outcome
 from tacgen.core.records import GraspConfig
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
-from validation.grasps.friction_interval import study
 
 MU = np.array(mu_range("0:1:0.05"))
 HALF_STEP = 0.025
@@ -22,7 +21,7 @@ def labels(seed, count=20, wrong=2, mu=0.45):
     return (MU[:, None] >= threshold).astype(np.int64), real
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("wrong", [0, 2])
 def test_repeated_or_reordered_labels_change_nothing(seed, wrong):
     simulated, real = labels(seed, wrong=wrong)
@@ -32,39 +31,13 @@ def test_repeated_or_reordered_labels_change_nothing(seed, wrong):
     assert (again.mu, again.interval) == (fit.mu, fit.interval)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("wrong", [0, 1, 3])
 def test_the_interval_holds_every_best_value_and_half_a_step(seed, wrong):
     fit = fit_friction(MU, *labels(seed, wrong=wrong))
     best = MU[fit.mislabels == fit.mislabels.min()]
     assert fit.interval[0] <= max(best.min() - HALF_STEP, 0.0) + 1e-12
     assert fit.interval[1] >= best.max() + HALF_STEP - 1e-12
-
-
-def test_labels_far_from_the_border_leave_all_between_open():
-    threshold = np.repeat([0.2, 0.8], 10)
-    simulated = (MU[:, None] >= threshold).astype(np.int64)
-    fit = fit_friction(MU, simulated, (threshold < 0.5).astype(np.int64))
-    assert fit.interval[0] <= 0.2 - HALF_STEP
-    assert fit.interval[1] >= 0.75 + HALF_STEP
-
-
-def test_many_right_labels_bound_friction_by_their_neighbours():
-    """One wrong label may stand on either side of the border: two thresholds, and half a step."""
-    threshold = np.arange(0.025, 1.0, 0.05)
-    simulated = (MU[:, None] >= threshold).astype(np.int64)
-    fit = fit_friction(MU, simulated, (threshold < 0.5).astype(np.int64))
-    assert fit.mu == pytest.approx(0.5)
-    assert fit.interval == pytest.approx((0.425, 0.575))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("wrong", [0.0, 0.05, 0.1])
-@pytest.mark.parametrize("n_labels", [10, 20, 40])
-def test_the_interval_covers_the_truth(n_labels, wrong):
-    coverage, width, _ = study(0.05, n_labels, wrong, range(20_000, 20_300))
-    assert coverage >= 0.94
-    assert width <= {10: 0.6, 20: 0.4, 40: 0.3}[n_labels]
 
 
 def test_grasps_written_twice_are_said(tmp_path):

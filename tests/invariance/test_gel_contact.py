@@ -81,42 +81,6 @@ def test_how_a_mesh_is_written_does_not_matter(sensor, name, mesh, undone):
 
 
 @pytest.mark.parametrize("sensor", [FLAT, DOMED], ids=lambda one: one.name)
-@pytest.mark.parametrize("higher_mm", [-3.0, 0.37, 11.0])
-def test_how_high_the_object_stands_does_not_matter(sensor, higher_mm):
-    pad, mesh, pose = pad_of(sensor), mesh_of(body()), POSE.copy()
-    pose[2, 3] += higher_mm
-    plain, higher = (pad.render(mesh, one, LOAD) for one in (POSE, pose))
-    np.testing.assert_array_equal(higher.rgb, plain.rgb)
-    np.testing.assert_allclose(
-        higher.imprint.depth_map_mm(sensor), plain.imprint.depth_map_mm(sensor), atol=1e-6
-    )
-
-
-def test_whole_pixels_along_the_gel_shift_the_picture():
-    pad, mesh = pad_of(FLAT), mesh_of(body())
-    pose = POSE.copy()
-    pose[:2, 3] += (7 * FLAT.mm_per_px, -5 * FLAT.mm_per_px)
-    load = replace(LOAD, shear_sum_mm=(0.0, 0.0), turn_sum_mm2=0.0)
-    plain, moved = (pad.render(mesh, one, load) for one in (POSE, pose))
-    shifted = np.roll(plain.imprint.depth_map_mm(FLAT), (-5, 7), axis=(0, 1))
-    np.testing.assert_allclose(moved.imprint.depth_map_mm(FLAT), shifted, atol=1e-5)
-    difference = np.abs(moved.rgb.astype(int) - np.roll(plain.rgb, (-5, 7), axis=(0, 1)))
-    # Wide Gaussians are computed on blocks of pixels that begin at the image's corner.
-    assert difference.max() <= 3
-
-
-@pytest.mark.parametrize("sensor", [FLAT, DOMED], ids=lambda one: one.name)
-def test_half_a_turn_of_all_turns_the_imprint(sensor):
-    pad, mesh, half = pad_of(sensor, markers=True), mesh_of(body()), turned(np.pi)
-    back = replace(LOAD, shear_sum_mm=(-0.9, 0.6))
-    plain, other = pad.press(mesh, POSE, LOAD), pad.press(mesh, half @ POSE, back)
-    np.testing.assert_allclose(
-        other.depth_map_mm(sensor)[::-1, ::-1], plain.depth_map_mm(sensor), atol=1e-5
-    )
-    np.testing.assert_allclose(-pad.markers_mm(other)[::-1], pad.markers_mm(plain), atol=1e-5)
-
-
-@pytest.mark.parametrize("sensor", [FLAT, DOMED], ids=lambda one: one.name)
 def test_a_mirrored_press_is_mirrored(sensor):
     """With x its shear changes its sign, and so does a turn."""
     pad, mirror = pad_of(sensor, markers=True), np.diag([-1.0, 1.0, 1.0, 1.0])
@@ -155,8 +119,7 @@ def shifts(sensor, law, force_n, pose, torsion_n_mm=0.0):
     return motion.shift_mm, motion.turn_rad
 
 
-@pytest.mark.parametrize("pitch_mm", [1.0, 0.5, 4.0 / 3.0])
-@pytest.mark.parametrize("at_mm", [(0.0, 0.0, 4.0), (3.1, -1.7, 4.0)])
+@pytest.mark.parametrize(("pitch_mm", "at_mm"), [(1.0, (0.0, 0.0, 4.0)), (0.5, (3.1, -1.7, 4.0))])
 def test_another_grid_of_markers_is_the_same_gel(pitch_mm, at_mm):
     """Within what a sum over a grid differs from the integral: 1.7 % of a grid of 2 mm."""
     law = ContactLaw.linear(5.135, 1.0, marker_pitch_mm=2.0)
@@ -200,10 +163,9 @@ def course(law, press, clock_s=0.0, readings=1):
 PRESS = {name: values[:40] for name, values in press_columns(1, 60).items()}  # held, and pulled
 
 
-@pytest.mark.parametrize("sensor", [FLAT, DOMED], ids=lambda one: one.name)
 @pytest.mark.parametrize("law", FIRST_FORMS)
-def test_the_picture_of_a_press_depends_neither_on_the_clock_nor_on_reading_twice(sensor, law):
-    pad, mesh = pad_of(sensor, markers=True), mesh_of(body())
+def test_the_picture_of_a_press_depends_neither_on_the_clock_nor_on_reading_twice(law):
+    pad, mesh = pad_of(DOMED, markers=True), mesh_of(body())
     plain = pad.render(mesh, POSE, course(law, PRESS))
     assert plain.imprint.volume_mm3 > 0.0
     for options in ({"clock_s": 1000.0}, {"readings": 2}):
@@ -239,14 +201,3 @@ def test_a_pull_off_the_gels_middle_does_not_turn_the_object(center_mm):
     # The patch's middle is that of its pixels: within a hundredth of a millimetre of the ball's.
     assert abs(np.degrees(motion.turn_rad)) < 0.003
     assert np.hypot(*motion.shift_mm) > 0.02
-
-
-def test_where_on_the_gel_the_load_is_does_not_matter():
-    """Far from the edges, beyond which no marker is summed."""
-    wide = replace(FLAT, height_px=360, width_px=480, markers=Markers(18, 24, 2.0, 0.2))
-    law = ContactLaw.default()
-    places = ((0.0, 0.0), (2.0, -4.0), (1.0, 1.0), (-0.7, 3.3))
-    found = [shifts(wide, law, (1.0, -0.5), turned(0.0, at_mm=(*at, 4.0)), 3.0) for at in places]
-    for shift_mm, turn_rad in found[1:]:
-        np.testing.assert_allclose(shift_mm, found[0][0], rtol=0.015)
-        assert turn_rad == pytest.approx(found[0][1], rel=0.02)

@@ -8,10 +8,8 @@ import trimesh
 
 from tacgen.contact.law import ContactLaw, FittedEffect
 from tacgen.core.errors import SensorError
-from tacgen.core.records import ContactFrame, Estimate
-from tacgen.sensor.engines import _capsule
-from tacgen.sensor.gel_response import GelCourse
-from tacgen.sensor.simulated import Sensor, as_mesh
+from tacgen.core.records import Estimate
+from tacgen.sensor.simulated import Sensor
 
 K_N, STEP_S = 5.135, 0.002
 CREEP = FittedEffect(
@@ -129,29 +127,6 @@ def same(one, other, grey=0):
     assert np.abs(other.rgb.astype(int) - one.rgb).max() <= grey
 
 
-@pytest.mark.parametrize("clock_s", [100.0, -3.0])
-def test_the_clocks_zero_does_not_matter(clock_s):
-    plain, later = frame_of(Mujoco()), frame_of(Mujoco(clock_s))
-    # The weight comes on within some steps of the first, then the gel creeps for a second.
-    assert plain.volume_mm3 / K_N / plain.force_n[2] == pytest.approx(1.107, abs=0.002)
-    same(plain, later)
-
-
-def test_a_clock_that_is_given_may_have_any_zero():
-    """PyBullet has none: what was before the first reading is not known."""
-    found = []
-    for zero_s in (0.0, 1000.0):
-        simulation = Bullet()
-        sensor = simulation.attach(Sensor("gelsight_mini", contact=LAW))
-        volumes = []
-        for k in range(4):
-            simulation.step(100)
-            volumes.append(sensor.read(time_s=zero_s + (k + 1) / 2.4).volume_mm3)
-        found.append(volumes)
-    np.testing.assert_allclose(found[1], found[0], rtol=1e-9)
-    assert found[0][0] == pytest.approx(K_N * 0.3 * 9.81, rel=0.01)
-
-
 def test_reset_begins_a_new_press_and_so_does_a_clock_that_goes_back():
     simulation = Mujoco(7.0)
     sensor = simulation.attach(Sensor("gelsight_mini", contact=LAW))
@@ -190,56 +165,6 @@ def test_the_world_turned_and_moved_is_the_same_press(make):
         frame_of(make(world=TURN), ContactLaw.default()),
         grey=2,
     )
-
-
-@pytest.mark.parametrize("make", [Mujoco, Bullet])
-def test_the_order_of_bodies_does_not_matter(make):
-    same(
-        frame_of(make(), ContactLaw.default()),
-        frame_of(make(first="ball"), ContactLaw.default()),
-        grey=1,
-    )
-
-
-def test_a_pull_beside_the_gels_middle_does_not_turn_the_object():
-    """Its moment about the gel's origin is that of the place alone."""
-    simulation = Mujoco(at_mm=(5.0, 0.0), pull_n=(0.0, 1.0))
-    sensor = simulation.attach(Sensor("gelsight_mini", contact=ContactLaw.default()))
-    simulation.step(20)
-    found = sensor._attached().contact()
-    assert found.force_n[1] > 0.5
-    assert abs(found.torsion_n_mm) < 0.02 * 5.0 * found.force_n[1]
-
-
-def test_a_mesh_is_made_ready_once():
-    """The meshes of a simulation cannot change, so nothing is checked or sorted twice."""
-    simulation = Mujoco()
-    sensor = simulation.attach(Sensor("gelsight_mini"))
-    simulation.step(100)
-    sensor.read()
-    mapper = sensor._pad.indenter._mapper
-    uses = mapper._uses
-    sensor.read()
-    assert mapper._uses > uses >= 1
-
-
-def test_a_mesh_of_ours_is_made_ready_once():
-    sensor = Sensor("gelsight_mini")
-    mesh = as_mesh(trimesh.creation.icosphere(subdivisions=3, radius=4.0))
-    assert as_mesh(mesh) is mesh
-    for _ in range(2):
-        sensor.render(mesh, np.eye(4), 2.0)
-    assert sensor._pad.indenter._mapper._uses == 2
-
-
-def test_twenty_thousand_readings_remember_no_more_than_ten():
-    course = GelCourse(LAW)
-    sizes = []
-    for k in range(2000):
-        force_n = 3.0 + np.sin(0.1 * k)
-        course.load(ContactFrame(0.01 * k, force_n, np.zeros(2), 0.0, np.eye(4)), 0.0)
-        sizes.append(len(course._after))
-    assert sizes[9] == sizes[-1]
 
 
 @pytest.fixture
@@ -302,24 +227,6 @@ def test_a_body_with_the_number_of_a_removed_one_is_seen_as_it_is(bullet, how):
         shown.append(fresh.depth_mm)
         if how != "everything reset":
             p.removeBody(body, physicsClientId=client)
-
-
-def test_a_mesh_is_not_taken_for_the_next_body_of_its_number(bullet):
-    p, client = bullet
-    sensor = Sensor("gelsight_mini")
-    sensor.attach_pybullet(bullet_pad(p, client), pose_link_gel=GEL, client_id=client)
-    for number, shape in enumerate(bullet_shapes(p)[:2]):
-        made = p.createCollisionShape(**shape, physicsClientId=client)
-        body = p.createMultiBody(0.3, made, -1, [0, 0, 0.0161], physicsClientId=client)
-        if number == 0:
-            sensor.add_object(body, trimesh.creation.icosphere(subdivisions=4, radius=6.0))
-        for _ in range(240):
-            p.stepSimulation(physicsClientId=client)
-        if number == 0:
-            assert sensor.read().status == "ok"
-            p.removeBody(body, physicsClientId=client)
-    with pytest.raises(SensorError, match="body 1 has other shapes than when its mesh was given"):
-        sensor.read()
 
 
 def test_a_soft_body_is_refused_by_name(bullet, tmp_path):
@@ -449,10 +356,3 @@ def test_the_moment_of_a_contact_is_that_by_which_a_peg_is_turned(condim, pad, p
         assert abs(held_n_mm) >= 0.4 * abs(torque_n_mm) or condim == 3
         found = sensor._attached().contact()
         assert found.torsion_n_mm == pytest.approx(held_n_mm, abs=0.05)
-
-
-@pytest.mark.parametrize("radius_m", [0.0005, 0.003, 0.02])
-def test_a_small_capsule_is_whole(radius_m):
-    shape = _capsule(radius_m, 2 * radius_m)
-    assert shape.is_watertight
-    assert shape.volume == pytest.approx((2 + 4 / 3) * np.pi * radius_m**3, rel=3e-4)

@@ -40,30 +40,6 @@ def test_a_pause_before_the_press_does_not_matter(law):
 
 
 @pytest.mark.parametrize("law", FORMS)
-def test_readings_in_between_do_not_matter(law):
-    """Load is linear between samples: twice as many of them on the same course say no more.
-
-    Only the moment of the first touch, from which creep with the load counts, is that of a sample.
-    """
-    names = [name for name, values in PRESS.items() if values.dtype.kind in "fi"]
-    often = {name: np.repeat(values, 2)[:-1] for name, values in PRESS.items()}
-    same = PRESS["trial"][1:] == PRESS["trial"][:-1]
-    for name in (n for n in names if n != "trial"):
-        middle = np.where(same, (PRESS[name][1:] + PRESS[name][:-1]) / 2, PRESS[name][:-1])
-        often[name] = np.insert(PRESS[name].astype(float), np.arange(1, len(same) + 1), middle)
-    keeps = np.insert(np.ones(len(same) + 1, bool), np.arange(1, len(same) + 1), same)
-    often = {name: values[keeps] for name, values in often.items()}
-    seldom = np.insert(np.ones(len(same) + 1, bool), np.arange(1, len(same) + 1), False)[keeps]
-    names_of = {name for fitted in law.effects for name in [fitted.name]}
-    whole, found = simulated(law, PRESS), simulated(law, often)[seldom]
-    held = "creep" in names_of and law.effects[0].values["recovery"] == 0.0
-    held = held or any(v for k, v in law.effects[0].values.items() if k.startswith("held_"))
-    # Half a sampling period, 0.06 s, of the fastest of these, 0.2 s, at its beginning.
-    atol = 0.3 * 0.05 * np.abs(whole).max() if held else 1e-9
-    np.testing.assert_allclose(found, whole, rtol=1e-9, atol=atol)
-
-
-@pytest.mark.parametrize("law", FORMS)
 @pytest.mark.parametrize("turn_rad", [np.pi, 0.7])
 def test_a_turn_of_the_gel_about_its_normal_turns_the_motion(law, turn_rad):
     """Half a turn, of every effect but one that names a direction; any turn, of one of vectors."""

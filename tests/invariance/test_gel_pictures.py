@@ -8,7 +8,7 @@ import trimesh
 
 from tacgen.contact.law import ContactLaw
 from tacgen.core.records import Markers, Mesh, Sensor
-from tacgen.optics import LookupTable, render_rgb
+from tacgen.optics import render_rgb
 from tacgen.optics.image_models import ContactLight
 from tacgen.optics.reconstruct import Reconstructor
 from tacgen.sensor.gel_response import GelLoad
@@ -63,19 +63,6 @@ def test_a_window_of_blocks_along_the_gel_shifts_the_picture(name):
     np.testing.assert_array_equal(moved, np.roll(plain, (-12, 8), axis=(0, 1)))
 
 
-@pytest.mark.parametrize("name", MODELS)
-@pytest.mark.parametrize("shadows", [False, True])
-def test_the_pictures_before_do_not_matter(name, shadows):
-    """A pad that has drawn other contacts draws this one as a new pad does."""
-    pad = TactilePad(FLAT, MODELS[name], shadows=shadows, markers=True)
-    poses = [np.eye(4) for _ in range(3)]
-    for pose, at in zip(poses, ((-4.0, 2.0), (5.0, -3.0), (0.5, 0.5)), strict=True):
-        pose[:2, 3] = at
-    *_, last = [pad.render(MESH, pose, GelLoad(8.0)).rgb for pose in poses]
-    fresh = TactilePad(FLAT, MODELS[name], shadows=shadows, markers=True)
-    np.testing.assert_array_equal(last, fresh.render(MESH, poses[-1], GelLoad(8.0)).rgb)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MODELS)
 def test_where_on_the_gel_it_is_does_not_matter_to_what_is_read(name):
@@ -115,24 +102,3 @@ def test_another_grid_of_dots_reads_the_same_shear(pitch_mm):
     unknown = ContactLaw.linear(5.0, 0.8)
     found = _with_forces(imprint(15.0, np.array([0.6, -0.4])), unknown, 0.06, pitch_mm)
     np.testing.assert_allclose(found.force_n, forces[0], rtol=1e-9)
-
-
-def test_a_table_of_half_the_pixel_size_is_the_same_gel():
-    """Of twice as many pixels: the light of a slope does not depend on how finely it is seen."""
-    fine = replace(FLAT, height_px=240, width_px=320, mm_per_px=0.05)
-    coarse = pressed(MODELS["quadratic"])[0]
-    pad = TactilePad(fine, slope_table(fine.shape_px, fine.mm_per_px))
-    rgb = pad.render(MESH, np.eye(4), GelLoad(8.0)).rgb
-    averaged = rgb.reshape(120, 2, 160, 2, 3).mean(axis=(1, 3))
-    assert np.abs(averaged - coarse).mean() < 0.3
-
-
-def test_the_table_type_is_whole():
-    """Every table has one image model, and the same as a fresh table of it."""
-    for table in MODELS.values():
-        assert isinstance(table, LookupTable)
-        height = -np.maximum(0.0, 1.0 - np.hypot(*np.indices(FLAT.shape_px)) / 60.0)
-        again = LookupTable.of_model(
-            table.image_model, table.background, table.mm_per_px, table.max_slope_rad
-        )
-        np.testing.assert_array_equal(render_rgb(height, again), render_rgb(height, table))

@@ -7,8 +7,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tacgen.collection.grid import plan_recipe
-from tacgen.collection.pipeline import GraspPipeline, planned_times_s
 from tacgen.collection.recipe import load_recipe
 from tacgen.collection.run import collect
 from tacgen.core.records import ContactFrame
@@ -16,7 +14,6 @@ from tacgen.dataset import Dataset
 from tacgen.dataset.export import export_dataset
 from tacgen.dataset.samples import frame_times_s
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings
-from tacgen.physics.recorder import frame_end_steps, frame_of_moment
 from tests.physics.conftest import block, grasp
 from tests.small_world import SHORT_LIFT, write_world
 
@@ -129,29 +126,6 @@ def test_phases_and_the_end_of_the_frames_are_kept_in_the_shard(tmp_path, monkey
     assert columns["label"].tolist() == [0, 1]
     assert columns["outcome_time_s"][1] == columns["lift_end_time_s"][1]
     assert "end at the start of the lift" in (tmp_path / "data" / "README.md").read_text()
-
-
-def test_it_is_the_last_frame_before_the_moment_but_not_the_first():
-    ends = frame_end_steps(FrameRequest("sequence", 4, 3.0), 0.01)
-    assert ends == [0, 100, 200, 300]
-    assert [frame_of_moment(ends, at) for at in (30, 100, 199, 200, 250, 400)] == [1, 1, 1, 2, 2, 3]
-    assert [frame_of_moment(short, 30) for short in ([], [300])] == [0, 0]
-
-
-def test_a_sequence_of_one_frame_states_its_time(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    frames = "{mode: sequence, count: 1, span_s: 2.0}"
-    recipe = load_recipe(write_world(tmp_path, frames=frames, grid="{force_n: 25, z_mm: 90}"))
-    planned = plan_recipe(recipe)[0]
-    with GraspPipeline(recipe) as pipeline:
-        trace = pipeline.simulate(planned).trace
-        sample = pipeline.sample(planned)
-    times_s = np.array(planned_times_s(recipe))
-    assert times_s == pytest.approx([frame.time_s for frame in trace.frames["left"]])
-    assert sample.grasp_time_s < times_s[0]
-    np.testing.assert_array_equal(
-        frame_times_s(times_s, sample.grasp_frame, sample.grasp_time_s), times_s
-    )
 
 
 @pytest.mark.slow

@@ -124,16 +124,21 @@ def ball(friction: float = 0.35) -> GraspObject:
 
 
 @pytest.mark.slow
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
-    "changes",
-    [*PLACES.values(), [Change(), MIRROR, HALF_TURN, OTHER_ORDER], [Change(), HALF_STEP]],
+    ("name", "changes"),
+    [
+        ("flat_screwdriver", PLACES["far"]),
+        ("strawberry", PLACES["nearby"]),
+        ("tomato_soup_can", [Change(), MIRROR, HALF_TURN, OTHER_ORDER]),
+        ("spatula", [Change(), HALF_STEP]),
+    ],
     ids=[*PLACES, "symmetric", "half the time step"],
 )
-@pytest.mark.parametrize("name", ["flat_screwdriver", "strawberry", "tomato_soup_can", "spatula"])
 def test_margins_of_an_object_do_not_depend_on_the_place(
     simulator: GraspSimulator, name: str, changes: Sequence[Change]
 ) -> None:
-    found = spreads(simulator, name, changes, count=16)
+    found = spreads(simulator, name, changes, count=8)
     assert np.median(found) < 0.01
     assert np.quantile(found, 0.9) < 0.05
 
@@ -154,31 +159,6 @@ def test_a_margin_does_not_depend_on_the_place(simulator: GraspSimulator, change
         limit = 0.02 if change is HALF_STEP else 0.01
         assert spread([getattr(margin, ratio) for margin in margins]) < limit
     assert len({trace.label for trace in traces}) == 1
-
-
-@pytest.mark.parametrize("change", [MIRROR, HALF_TURN], ids=["mirrored", "yaw + π"])
-def test_left_and_right_change_places(simulator: GraspSimulator, change: Change) -> None:
-    """Of a mirrored grasp, and of a gripper that is turned by half a turn."""
-    plain, other = changed_traces(simulator, load_object(LIP.object), LIP, (Change(), change))
-    mirror = np.eye(4) if change is HALF_TURN else np.diag([-1.0, 1.0, 1.0, 1.0])
-    for pad, opposite in (("left", "right"), ("right", "left")):
-        one, two = plain.frames[pad][0], other.frames[opposite][0]
-        expected = mirror @ one.pose_gel_object @ mirror
-        np.testing.assert_allclose(two.pose_gel_object, expected, atol=0.02)
-        assert two.force_normal_n == pytest.approx(one.force_normal_n, rel=2e-3)
-
-
-def test_a_grasp_does_not_depend_on_the_place(simulator: GraspSimulator) -> None:
-    """Its margin, shear and image. On a lip: two touches of each pad share its force."""
-    obj, study = load_object("tomato_soup_can"), Study(simulator, settings_of(simulator))
-    config, places = GraspConfig(0, obj.name, 7.0, 0.0, -6.0, 92.0), (*FAR[:3], NEARBY[2])
-    traces = study.traces(obj, config, places)
-    margins = [trace.margin for trace in traces if trace.margin is not None]
-    assert spread([margin.friction_ratio for margin in margins]) < 0.01
-    shears_n = [trace.frames[pad][0].force_shear_n for trace in traces for pad in trace.frames]
-    assert np.ptp(shears_n, axis=0).max() < 0.01
-    images = [study.images(obj, *one) for one in zip(traces, places, strict=True)]
-    assert np.ptp(images, axis=0).max() <= 3
 
 
 @pytest.mark.parametrize("height_mm", [-8.0, -3.0, 5.0, 8.0])
@@ -276,48 +256,6 @@ def test_no_grasp_fails_whose_margin_holds(
         assert trace.label == 1 or ratio < 1
 
 
-def test_a_delivered_force_is_simulated_as_one_that_is_asked_for(
-    simulator: GraspSimulator,
-) -> None:
-    """20 N of a light block as asked for, and as ten times 2 N."""
-    obj = block(mass_kg=0.002, size_mm=(30.0, 30.0, 30.0))
-    asked, scaled = (
-        grasp(
-            simulator,
-            obj,
-            force_n=20.0 / scale,
-            z_mm=15.0,
-            settings=settings_of(simulator, delivered_force_scale=scale),
-        )
-        for scale in (1.0, 10.0)
-    )
-    assert (scaled.label, scaled.turn_rad) == (asked.label, asked.turn_rad)
-    assert scaled.label == 1
-    assert asked.margin is not None
-    assert scaled.margin is not None
-    assert scaled.margin.friction_ratio == asked.margin.friction_ratio
-
-
-@pytest.mark.parametrize(("stiffness_n_mm", "force_n"), [(1.0, 2.0), (20.0, 20.0)])
-def test_soft_pads_have_crept_in_at_the_moment_of_grasp(
-    simulator: GraspSimulator, stiffness_n_mm: float, force_n: float
-) -> None:
-    """By F/k, whose time constant of damping over stiffness is 0.5 s for the softer ones."""
-    rigid, soft = (
-        grasp(
-            simulator,
-            block(friction=1.0),
-            force_n=force_n,
-            settings=settings_of(simulator, pad_stiffness_n_mm=stiffness),
-        )
-        for stiffness in (0.0, stiffness_n_mm)
-    )
-    for pad in ("left", "right"):
-        before, after = (trace.frames[pad][0].pose_gel_object[2, 3] for trace in (rigid, soft))
-        # MuJoCo's rigid pads give way by 1 µm for each newton, 2 % of the stiffer ones' way.
-        assert before - after == pytest.approx(force_n / stiffness_n_mm, rel=0.03)
-
-
 def test_pads_are_not_pressed_through(simulator: GraspSimulator) -> None:
     settings = settings_of(simulator, pad_stiffness_n_mm=1.0)
     with pytest.raises(Exception, match=r"in by 10 mm.* 6 mm deep; raise .* above 1\.67"):
@@ -353,12 +291,6 @@ class TestWithinReach:
         assert met[0] is inside
         assert met[1] is above
         assert len(met) == 2
-
-    def test_a_corner_that_two_planes_cut_off_is_gone(self) -> None:
-        corner = self.box((-5, 5), (12.5, 30), (20, 30))
-        wedge = hull_mesh(np.array([[0, 10, 20], [5, 10, 20], [0, 30, 41], [0, 30, 20.0]]))
-        assert self.reach(corner) == ()
-        assert self.reach(wedge, corner) == ()
 
     def test_a_ledge_beside_a_pad_is_not_touched(self, simulator: GraspSimulator) -> None:
         """A plate that stands out by 20 mm, 8 mm beside the pads, where a sphere would meet it."""

@@ -13,7 +13,10 @@ BALL = trimesh.creation.icosphere(subdivisions=5, radius=4.0)
 FORCE_N = 4.0
 
 
-@pytest.fixture(scope="module", params=list(sensor_files()))
+SENSORS = list(sensor_files())
+
+
+@pytest.fixture(scope="module", params=SENSORS)
 def taken(request):
     """A sensor, its gel at rest and a press, once for all lights."""
     sensor = tacgen.Sensor(request.param)
@@ -40,7 +43,11 @@ LIGHTS = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("light", LIGHTS)
+@pytest.mark.parametrize(
+    ("taken", "light"),
+    [(SENSORS[k % len(SENSORS)], light) for k, light in enumerate(LIGHTS)],
+    indirect=["taken"],
+)
 def test_a_picture_and_its_background_in_another_light_are_the_same_force(taken, light):
     sensor, rest, press = taken
     plain = ImageReader(sensor, rest).read(press).force_n[2]
@@ -64,7 +71,7 @@ def test_a_light_out_of_range_is_stated(taken):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise_grey", [0.0, 1.0, 3.0])
+@pytest.mark.parametrize("noise_grey", [0.0, 3.0])
 def test_a_background_is_no_contact_with_itself(taken, noise_grey):
     sensor, rest, _ = taken
     rng = np.random.default_rng(0)
@@ -76,8 +83,7 @@ def test_a_background_is_no_contact_with_itself(taken, noise_grey):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("shape", ["ball", "box"])
-@pytest.mark.parametrize("force_n", [0.5, 2.0, 4.0])
+@pytest.mark.parametrize(("shape", "force_n"), [("ball", 0.5), ("box", 4.0)])
 def test_a_press_as_background_is_stated(taken, shape, force_n):
     sensor, rest, press = taken
     mesh = BALL if shape == "ball" else trimesh.creation.box([6, 4, 4])

@@ -29,8 +29,3 @@ def test_a_list_is_treated_alike():
 @pytest.mark.parametrize("axis", [[-1.57, 0.0, 1.57], [0.0, 0.001], [-3.1, 3.1], [0.0, 3.14159]])
 def test_other_angles_stay(axis):
     assert yaws(axis) == axis
-
-
-def test_what_is_left_out_is_said(capsys):
-    assert len(yaws([0.25, 0.25 + 2 * np.pi])) == 1
-    assert "6.53319 is 0.25 after a whole turn" in capsys.readouterr().err

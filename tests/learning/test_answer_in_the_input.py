@@ -119,13 +119,6 @@ def test_frames_until_the_lift_are_those_not_later(data):
     np.testing.assert_array_equal(read_input(source, 0, spec), source.frames(0, [0, 1, 2]))
 
 
-def test_a_dataset_that_ends_at_the_lift_is_not_asked_for_its_times(tmp_path):
-    recipe = {"objects": ["can", "cup"], "frames": {"until": "lift"}}
-    spec = make_spec(8, N_FRAMES, time_s=TIMES_S, recipe=recipe)
-    source = SimulatedGrasps(collect(tmp_path / "data", spec, without_phases))
-    assert set(source.lift_frame) == {N_FRAMES - 1}
-
-
 def test_a_dataset_without_phases_is_reported_and_named_as_what_it_is(tmp_path, capsys):
     spec = make_spec(40, N_FRAMES, time_s=TIMES_S)
     data = collect(tmp_path / "data", spec, without_phases)

@@ -52,19 +52,6 @@ def test_networks_of_single_images_find_the_moment_in_sequences(tmp_path, backgr
     assert (found == real.frames(1, [2])).all()
 
 
-def test_a_sequence_is_spread_over_all_frames_from_first_to_last():
-    assert chosen_frames(replace(SEQUENCE, n_frames=8), 8, 3) == list(range(8))
-    assert chosen_frames(replace(SEQUENCE, n_frames=5), 9, 3) == [0, 2, 4, 6, 8]
-    assert chosen_frames(replace(SEQUENCE, n_frames=5), 3, 0) == [0, 1, 2]
-
-
-def test_the_undeformed_gel_has_no_difference_to_itself():
-    frames = np.repeat(REFERENCE[None, None], 2, axis=0)
-    assert not to_network(frames, REFERENCE, SINGLE).any()
-    raw = to_network(frames, None, replace(SINGLE, image="raw"))
-    np.testing.assert_array_equal(raw, frames)
-
-
 def test_change_is_since_the_frame_before_and_the_sum_of_changes_is_the_difference():
     frames = np.random.default_rng(2).integers(0, 256, (2, 4, *SENSOR.shape_px, 3), dtype=np.uint8)
     frames[:, 3] = frames[:, 2]
@@ -95,11 +82,6 @@ def test_normalised_training_images_have_mean_0_and_spread_1():
     # float32 sums of some ten thousand numbers
     np.testing.assert_allclose(images.mean(0), 0, atol=1e-4)
     np.testing.assert_allclose(images.std(0), 1, atol=1e-4)
-
-
-def test_images_that_never_change_do_not_divide_by_zero():
-    spec = with_normalisation(SINGLE, [REFERENCE[None]], REFERENCE)
-    assert np.isfinite(to_network(REFERENCE[None, None], REFERENCE, spec)).all()
 
 
 @pytest.mark.parametrize("image", ["difference", "change"])
@@ -158,23 +140,6 @@ def test_gain_and_contrast_of_the_imprint_differ_by_colour_as_asked():
     assert ((seen[:, 1] - 100) / 100).std(axis=0) == pytest.approx([0.15] * 3, rel=0.08)
 
 
-def test_a_blurred_imprint_keeps_its_sum_and_loses_its_peak():
-    rest = np.zeros((24, 32, 3), np.uint8)
-    frame = rest.copy()
-    frame[11:14, 15:18] = 240
-    options = Augmentation(on=True, **{**STILL, "shift_fraction": 0, "blur_px": 2.0})
-    (blurred,) = augmented(frame[None], rest, options, np.random.default_rng(1)).astype(float)
-    assert blurred.max() < 230
-    # Each of some fifty pixels and three colours is rounded by at most half a grey level.
-    assert blurred.sum() == pytest.approx(float(frame.sum()), rel=0.02)
-
-
-def test_augmentation_of_no_strength_changes_nothing():
-    frames = np.random.default_rng(0).integers(0, 256, (3, 24, 32, 3), dtype=np.uint8)
-    off = Augmentation(on=True, shift_fraction=0, **STILL)
-    np.testing.assert_array_equal(augmented(frames, None, off, np.random.default_rng(1)), frames)
-
-
 def test_augmentation_moves_all_frames_of_a_grasp_alike_and_leaves_its_input():
     frames = np.zeros((2, 24, 32, 3), np.uint8)
     frames[:, 12, 16] = 200
@@ -227,14 +192,6 @@ def test_batches_are_the_same_from_memory_and_from_disk(source):
         assert np.array_equal(items, items_2)
 
 
-def test_an_image_reaches_the_network_as_it_is_stored(source):
-    spec = replace(SINGLE, size_px=SENSOR.shape_px, image="raw")
-    images, _, _ = next(batches_of(source, spec).in_order())
-    frame = int(source.table.grasp_frame[2])
-    stored = source.dataset.rgb(int(source.table.ids[2]), frame=frame)
-    np.testing.assert_array_equal(images[2, 0].numpy().transpose(1, 2, 0), stored)
-
-
 def test_the_order_depends_on_seed_and_epoch_and_holds_each_grasp_once(source):
     batches = batches_of(source)
     off = Augmentation()
@@ -246,11 +203,6 @@ def test_the_order_depends_on_seed_and_epoch_and_holds_each_grasp_once(source):
     assert all(sorted(found) == list(range(9)) for found in orders.values())
     assert len({tuple(found) for found in orders.values()}) == 4
     assert order(1, 2) == orders[1, 2]
-
-
-def test_a_last_batch_of_one_joins_the_batch_before(source):
-    sizes = [len(labels) for _, labels, _ in batches_of(source).shuffled(0, 1, Augmentation())]
-    assert sizes == [4, 5]
 
 
 def test_augmentation_is_drawn_anew_each_epoch_and_repeatably(source):

@@ -29,16 +29,6 @@ def test_the_gap_of_one_object_is_newcombes_published_interval():
     assert interval == pytest.approx((0.0524, 0.3339), abs=5e-5)
 
 
-def test_equal_accuracies_by_object_are_no_gap_whatever_the_mix():
-    """Pooled, the same networks have 0.86 on one side and 0.66 on the other."""
-    simulated = {"can": scores(90, 100), "cup": scores(12, 20), "ball": scores(5, 5)}
-    real = {"can": scores(18, 20), "cup": scores(60, 100)}
-    accuracy, on_real, (low, high) = standardised_gap(simulated, real)
-    assert accuracy == pytest.approx(0.75)
-    assert accuracy - on_real == pytest.approx(0)
-    assert low < 0 < high
-
-
 def test_the_gaps_interval_is_that_of_resampled_grasps():
     """Away from 0 and 1 and with many grasps a bootstrap within objects says the same."""
     simulated = {"can": scores(140, 200), "cup": scores(90, 150)}
@@ -52,12 +42,6 @@ def test_the_gaps_interval_is_that_of_resampled_grasps():
     gaps = np.mean(drawn[0], axis=0) - np.mean(drawn[1], axis=0)
     # 20 000 resamples tell a quantile to about 0.0005; Wilson's own shift is of order 1/n.
     assert interval == pytest.approx(np.quantile(gaps, (0.025, 0.975)), abs=0.004)
-
-
-def test_a_gap_without_a_mistake_has_an_interval():
-    *_, (low, high) = standardised_gap({"can": scores(12, 12)}, {"can": scores(12, 12)})
-    assert low < -0.2
-    assert high > 0.2
 
 
 def test_both_sources_are_in_the_interval_over_seeds():

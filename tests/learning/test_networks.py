@@ -19,7 +19,7 @@ from tacgen.learning.backbone import (
     own_name,
     read_weights,
 )
-from tacgen.learning.networks import build_network, build_optimizer, build_scheduler
+from tacgen.learning.networks import build_network, build_optimizer
 from tacgen.learning.training_recipe import TrainingOptions
 
 # Names and shapes of torchvision's resnet18, which its published weight file holds.
@@ -107,27 +107,6 @@ def test_adam_gives_the_backbone_0_8_of_the_rate_and_decays_all_weights():
     everything = {id(p) for p in network.parameters()}
     assert {id(p) for p in (*trunk["params"], *head["params"])} == everything
     assert (options.batch_size, options.epochs) == (8, 30)
-
-
-def test_both_rates_fall_when_the_validation_loss_stops_falling():
-    options = TrainingOptions(plateau_patience=1, plateau_factor=0.5)
-    optimizer = build_optimizer(build_network("single"), options)
-    scheduler = build_scheduler(optimizer, options)
-    assert isinstance(scheduler, torch.optim.lr_scheduler.ReduceLROnPlateau)
-    for loss in (1.0, 0.5, 0.6, 0.7):
-        scheduler.step(loss)
-    rates = [group["lr"] for group in optimizer.param_groups]
-    assert rates == pytest.approx([0.4e-4, 0.5e-4])
-
-
-def test_torchvision_names_are_those_of_transformers_resnet_18():
-    own = {name: tuple(value.shape) for name, value in Backbone().network.state_dict().items()}
-    renamed = {
-        own_name(name): shape
-        for name, shape in torchvision_shapes().items()
-        if not name.startswith("fc.")
-    }
-    assert renamed == own
 
 
 @pytest.mark.slow
@@ -243,11 +222,3 @@ def test_a_damaged_weight_file_is_told(tmp_path: Path, content: bytes):
         (tmp_path / name).write_bytes(content)
         with pytest.raises(LearningError, match=name):
             read_weights(tmp_path / name)
-
-
-def test_a_checkpoint_of_the_other_network_is_refused():
-    single, sequence = build_network("single"), build_network("sequence")
-    with pytest.raises(LearningError, match=r"not a checkpoint of the sequence network"):
-        sequence.load(single.state_dict(), "model.safetensors")
-    with pytest.raises(LearningError, match=r"not a checkpoint of the single network"):
-        single.load(sequence.state_dict(), "model.safetensors")

@@ -77,16 +77,6 @@ def test_from_a_dataset_to_the_gap_on_the_command_line(toy, tmp_path, monkeypatc
     assert "pre-trained weights: NONE, trained from scratch" in said
 
 
-def test_wrong_input_is_one_message_and_exit_2(toy, tmp_path, monkeypatch, capsys):
-    arguments = ("train", "train_single", "--data", tmp_path, "--out", tmp_path / "run")
-    assert run_cli(monkeypatch, *arguments) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert said.err.startswith("tacgen: ")
-    assert "Traceback" not in said.err
-    assert run_cli(monkeypatch, "eval", tmp_path, "--data", toy) == 2
-
-
 def test_a_missing_extra_is_named_with_its_fix(monkeypatch, capsys, tmp_path):
     present = errors.find_spec
     monkeypatch.setattr(

@@ -58,16 +58,6 @@ def test_the_name_of_the_pretrained_weights_is_kept_and_not_looked_up_again(toy,
     assert origins == ["none", "none", "imagenet (there before)"]
 
 
-def test_an_optimizer_of_other_shapes_is_refused(toy, run):
-    def shrink(state):
-        moments = state["optimizer"]["state"][0]
-        moments["exp_avg"] = moments["exp_avg"][:1].clone()
-
-    change(run, shrink)
-    with pytest.raises(LearningError, match="exp_avg 0 has another shape"):
-        go_on(toy, run)
-
-
 def test_two_processes_do_not_train_one_model(toy, run):
     folder = ModelFolder(run / "models/pooled")
     with (
@@ -77,14 +67,6 @@ def test_two_processes_do_not_train_one_model(toy, run):
         go_on(toy, run)
     go_on(toy, run)
     assert len(metrics_of(run)) == 3
-
-
-def test_what_a_killed_process_left_half_written_is_removed(toy, run):
-    left = run / "models/pooled/.checkpoint.pt.host.1.part"
-    left.write_bytes(b"half")
-    go_on(toy, run)
-    assert not left.exists()
-    assert not list((run / "models/pooled").glob(".*"))
 
 
 def test_a_worker_whose_parent_was_killed_ends_after_its_epoch(toy, run, monkeypatch):

@@ -9,7 +9,6 @@ from scipy.stats import norm
 
 from tacgen.learning.scores import (
     expected_calibration_error,
-    reliability,
     score,
     wilson_interval,
 )
@@ -23,13 +22,6 @@ def test_wilson_bounds_are_where_the_normal_test_just_rejects(n, share):
     n_right = round(share * n)
     for p in wilson_interval(n_right, n):
         assert (n_right / n - p) ** 2 == pytest.approx(Z**2 * p * (1 - p) / n, abs=1e-12)
-
-
-def test_wilson_at_the_edges():
-    """Nobody of n: the upper end is z²/(n + z²)."""
-    assert wilson_interval(0, 10) == pytest.approx((0, Z**2 / (10 + Z**2)))
-    assert wilson_interval(10, 10) == pytest.approx((10 / (10 + Z**2), 1))
-    assert wilson_interval(0, 0) == (0, 1)
 
 
 def test_scores_of_a_small_example_by_hand():
@@ -93,11 +85,3 @@ def test_predictions_drawn_from_their_own_probabilities_are_calibrated():
     labels = (rng.random(200_000) < probabilities).astype(int)
     # The error of a bin of 20 000 is about √(¼/20 000) = 0.0035.
     assert expected_calibration_error(labels, probabilities) < 0.005
-
-
-def test_reliability_bins_hold_every_grasp_once():
-    probabilities = np.array([0.0, 0.1, 0.95, 1.0])
-    bins = reliability(np.array([0, 0, 1, 1]), probabilities)
-    assert bins["n"].sum() == 4
-    assert bins["n"].iloc[-1] == 2
-    assert bins["hi"].iloc[-1] == 1.0

@@ -17,15 +17,13 @@ from tacgen.learning.grasps import SimulatedGrasps  # noqa: E402
 from tacgen.learning.inputs import (  # noqa: E402
     InputSpec,
     VisionInput,
-    at_rest,
-    augmented,
     read_input,
     to_network,
     with_normalisation,
 )
 from tacgen.learning.networks import build_network  # noqa: E402
 from tacgen.learning.train import train  # noqa: E402
-from tacgen.learning.training_recipe import Augmentation, load_train_recipe  # noqa: E402
+from tacgen.learning.training_recipe import load_train_recipe  # noqa: E402
 
 from .conftest import REFERENCE, SENSOR, collect, make_sample, make_spec, recipe_of  # noqa: E402
 
@@ -97,18 +95,6 @@ def test_the_gel_at_rest_is_taken_from_the_sensors_images_alone():
     np.testing.assert_allclose(scaled.std(axis=0), 1, atol=1e-5)
 
 
-def test_augmentation_moves_a_cameras_whole_image():
-    frames = np.zeros((2, 32, 40, 6), np.uint8)
-    frames[:, 10:20, 10:20] = 200
-    options = Augmentation(on=True, shift_fraction=0.2, noise_grey=0.0, blur_px=0.0)
-    rest = at_rest(np.zeros((32, 40, 3), np.uint8), spec_of())
-    assert rest.shape == (32, 40, 6)
-    moved = augmented(frames, rest, options, np.random.default_rng(3))
-    where = [np.argwhere(moved[0, ..., k] > 0).mean(axis=0) for k in (0, 5)]
-    np.testing.assert_array_equal(*where)
-    assert (where[0] != (14.5, 14.5)).any()
-
-
 @pytest.mark.parametrize("kind", ["single", "sequence"])
 def test_each_image_has_a_backbone_of_its_own(kind, small_backbone):
     torch.manual_seed(0)
@@ -172,17 +158,6 @@ def test_it_learns_what_the_touch_does_not_tell(data, tmp_path, channels):
             predictor.predict(touch)
         with pytest.raises(LearningError, match=r"uint8 RGB of shape \(40, 50, 3\)"):
             predictor.predict(touch, vision=touch)
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("small_backbone")
-def test_the_other_camera_tells_nothing(data, tmp_path):
-    run = trained(data, tmp_path / "run", "vision", camera="top")
-    assert evaluate(run, data=data)["accuracy"] < 0.95
-    with pytest.raises(
-        LearningError, match="the camera 'side' is not known; give one of front, top"
-    ):
-        trained(data, tmp_path / "other", "vision", camera="side")
 
 
 @pytest.mark.slow

@@ -1,12 +1,8 @@
 """A user's own mesh: what is repaired, what is refused with its mend, what is written."""
 
-import io
 import json
 import os
 import re
-import tracemalloc
-import zipfile
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,9 +15,8 @@ from tacgen.core.records import Mesh
 from tacgen.core.resources import find_object_folder
 from tacgen.objects import load_object
 from tacgen.objects.add import STEPS, add_object, meshes_in, object_name
-from tacgen.objects.cutting import MAX_PART_VERTICES, convex_parts, cut_again
+from tacgen.objects.cutting import convex_parts, cut_again
 from tacgen.objects.grasp_ranges import largest_grid, touch_error_mm, touch_errors
-from tacgen.objects.load import read_meshes
 from tacgen.objects.mesh_import import import_surface
 from tacgen.objects.meshes import volume_mm3
 from tacgen.physics import GraspSimulator
@@ -96,13 +91,6 @@ def test_unmerged_corners_inward_faces_and_a_small_hole_are_mended():
     assert any("hole" in note for note in notes)
 
 
-def test_overlapping_bodies_are_united():
-    two = trimesh.util.concatenate([box(), box().apply_translation([10.0, 0.0, 0.0])])
-    surface, notes = import_surface(exported(two, "two.stl"))
-    assert volume_mm3(surface) == pytest.approx(40 * 40 * 60, rel=1e-4)
-    assert any("2 separate bodies" in note for note in notes)
-
-
 def refused(mesh, file_name, **arguments):
     path = exported(mesh, file_name) if mesh is not None else file_name
     arguments = {"mass_kg": 0.1, **arguments}
@@ -123,18 +111,6 @@ def test_too_large_is_refused():
     assert "too large for a gripper that opens 110 mm" in refused(box(300, 300, 300), "crate.stl")
 
 
-def without(solid, away):
-    """The solid without its faces that look that way."""
-    solid.update_faces(solid.face_normals @ away < 0.9)
-    return solid
-
-
-def test_a_container_without_thickness_is_refused():
-    message = refused(without(box(), [0, 0, 1]), "open.stl")
-    assert "open at the top, a container whose walls have no thickness" in message
-    assert "Solidify" in message
-
-
 def test_a_sheet_is_refused_with_its_open_edges_and_how_much_is_missing():
     ball = trimesh.creation.icosphere(subdivisions=3, radius=30.0)
     ball.update_faces(ball.triangles_center[:, 0] > 0)
@@ -153,8 +129,15 @@ def test_a_nan_is_refused():
     assert "no numbers" in refused(None, "nan.obj")
 
 
-@pytest.mark.parametrize("content", [b"", b"not a mesh at all", b"ply\nformat ascii 1.0\n"])
-@pytest.mark.parametrize("kind", ["obj", "stl", "ply", "glb"])
+@pytest.mark.parametrize(
+    ("kind", "content"),
+    [
+        ("obj", b""),
+        ("stl", b"not a mesh at all"),
+        ("ply", b"ply\nformat ascii 1.0\n"),
+        ("glb", b""),
+    ],
+)
 def test_files_that_are_no_meshes_are_refused(content, kind):
     name = f"broken.{kind}"
     with open(name, "wb") as file:
@@ -179,10 +162,6 @@ def test_every_bad_argument_is_named_at_once():
 
 def test_grams_for_kilograms_are_refused():
     assert "denser than any metal; give --mass in kg" in refused(box(), "heavy.stl", mass_kg=200.0)
-
-
-def test_a_file_name_that_names_nothing_asks_for_a_name():
-    assert "pass --name" in refused(box(), "textured.obj")
 
 
 @pytest.mark.parametrize(
@@ -230,14 +209,6 @@ def test_an_existing_object_is_kept_unless_forced(own_folder):
     assert sorted(os.listdir("objects")) == ["notes", "thing"]
 
 
-def test_a_linked_objects_folder_is_refused(own_folder):
-    (own_folder / "elsewhere").mkdir()
-    os.symlink("elsewhere", "objects")
-    with pytest.raises(ObjectError, match="only into a real folder"):
-        add_object(exported(box(), "thing.stl"), mass_kg=0.1)
-    assert os.listdir("elsewhere") == []
-
-
 def test_a_folder_that_cannot_be_written_leaves_nothing(own_folder, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
@@ -272,30 +243,6 @@ def test_a_convex_mesh_keeps_all_its_vertices():
     assert sorted(map(tuple, part.vertices_mm.round(3))) == sorted(
         map(tuple, surface.vertices_mm[surface.vertices_mm[:, :2].any(axis=1)].round(3))
     )
-
-
-def test_a_finer_mesh_is_thinned_evenly_and_stays_symmetric():
-    surface, _ = import_surface(exported(can(2048), "can.stl"))
-    (part,) = convex_parts(surface)
-    assert len(part.vertices_mm) <= MAX_PART_VERTICES
-    turned = part.vertices_mm * [-1, -1, 1]
-    found = np.linalg.norm(part.vertices_mm[:, None] - turned, axis=2).min(axis=0)
-    assert found.max() < 0.15  # a chord of the original
-    angles = np.sort(np.unique(np.arctan2(*part.vertices_mm[:, :2].T).round(6)))
-    assert np.diff(angles).max() < 2 * np.pi / 250
-    assert np.linalg.norm(part.vertices_mm[:, :2], axis=1) == pytest.approx(33.0, abs=1e-3)
-
-
-def test_where_pads_touch_is_compared_with_the_surface():
-    """A ball moved along x, or up, is touched as far off, or at the share R/(R + dome) of it."""
-    ball = trimesh.creation.icosphere(subdivisions=5, radius=25.0).apply_translation([0, 0, 25])
-    surface = Mesh(np.array(ball.vertices), np.array(ball.faces, dtype=np.int32))
-    ranges = {"y_mm": (0.0,), "z_mm": (25.0,)}
-    for move, along, across in (((0.4, 0, 0), 0.4, 0.0), ((0, 0, 4.0), 0.15, 4 * 30 / 55)):
-        moved = Mesh(surface.vertices_mm + move, surface.faces)
-        error_mm = touch_error_mm(touch_errors(surface, [moved], ranges))
-        assert error_mm == pytest.approx([along, across], abs=0.3)
-        assert error_mm[0] == pytest.approx(along, abs=0.03)
 
 
 def test_adding_reports_how_well_the_collision_shape_follows_the_surface():
@@ -348,9 +295,9 @@ def test_the_largest_grid_without_bad_places_is_kept(bad, grid):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "name", ["cylinder_16", "cylinder_256", "cylinder_2048", "capsule", "bottle", "sphere_4"]
+    ("name", "angle_rad"),
+    [("cylinder_16", 0.37), ("cylinder_256", 0.0), ("bottle", 0.37), ("sphere_4", 0.0)],
 )
-@pytest.mark.parametrize("angle_rad", [0.0, 0.37])
 def test_an_imported_mesh_holds_from_the_closed_form_on(name, angle_rad):
     """An import that simplified it held the cylinder of 256 sections from 1.15 mg/(2μ) on."""
     obj = imported(name, angle_rad)
@@ -386,31 +333,7 @@ def test_a_broken_object_does_not_hide_the_others(own_folder):
     assert "mass is not a known key" in listed.stdout
 
 
-def test_a_glb_that_says_it_is_larger_than_it_is_takes_no_memory_for_it(own_folder):
-    path = Path(exported(box(), "box.glb"))
-    content = bytearray(path.read_bytes())
-    content[12:16] = (0xFFFFFFF0).to_bytes(4, "little")  # the length of its first chunk
-    path.write_bytes(content)
-    tracemalloc.start()
-    with pytest.raises(ObjectError, match="cannot be read as GLB"):
-        import_surface(path)
-    peak_bytes = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak_bytes < 100 << 20
-
-
-def test_parts_whose_header_lies_about_their_size_are_refused(tmp_path):
-    path, lie = tmp_path / "parts.npz", io.BytesIO()
-    header = {"shape": (10**9, 3), "fortran_order": False, "descr": "<i4"}
-    np.lib.format.write_array_header_1_0(lie, header)
-    np.savez(path, parts=np.array(1), vertices_0=np.zeros((4, 3)))
-    with zipfile.ZipFile(path, "a") as archive:
-        archive.writestr("faces_0.npy", lie.getvalue())
-    with pytest.raises(ObjectError, match="which is not what is there"):
-        read_meshes(path, 1.0)
-
-
-def nut(turned_rad=0.0):
+def nut(turned_rad):
     """A hexagonal prism, 20 mm from corner to corner and 12 mm high; its corners point to x."""
     solid = trimesh.creation.cylinder(radius=10.0, height=12.0, sections=6)
     return solid.apply_transform(trimesh.transformations.rotation_matrix(turned_rad, [0, 0, 1]))
@@ -421,8 +344,8 @@ def suggested_yaw(notes):
     return next((float(match[1]) for match in found if match), None)
 
 
-@pytest.mark.parametrize("turned_deg", [0.0, 12.0, 47.0])
-def test_a_nut_is_to_be_grasped_by_its_flats(turned_deg):
+def test_a_nut_is_to_be_grasped_by_its_flats():
+    turned_deg = 12.0
     added = add_object(exported(nut(np.radians(turned_deg)), "nut.stl"), mass_kg=0.02)
     yaw_rad = suggested_yaw(added.notes)
     # Flats face 30° from the corners, and every 60°.
@@ -434,13 +357,7 @@ def test_a_nut_is_to_be_grasped_by_its_flats(turned_deg):
     assert width_mm == pytest.approx(20.0 * np.cos(np.pi / 6), abs=0.3)
 
 
-def test_a_box_along_the_axes_and_a_round_object_are_not_turned():
-    assert suggested_yaw(add_object(exported(box(), "box.stl"), mass_kg=0.1).notes) is None
-    round_one = trimesh.creation.cylinder(radius=15.0, height=60.0, sections=360)
-    assert suggested_yaw(add_object(exported(round_one, "can.stl"), mass_kg=0.1).notes) is None
-
-
-@pytest.mark.parametrize(("sections", "seen"), [(6, False), (24, True), (64, True), (360, False)])
+@pytest.mark.parametrize(("sections", "seen"), [(24, True), (360, False)])
 def test_facets_that_the_gel_would_show_are_noted(sections, seen):
     solid = trimesh.creation.cylinder(radius=15.0, height=60.0, sections=sections)
     notes = add_object(exported(solid, "can.stl"), mass_kg=0.1).notes

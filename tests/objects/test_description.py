@@ -116,19 +116,6 @@ def test_an_inertia_that_no_body_has_is_refused(can):
     assert "principal moments 1, 1, 5, which no body has" in refusal(path, content)
 
 
-def test_a_name_that_is_not_the_folders_is_refused(can):
-    path, content = can
-    content["name"] = "soup"
-    assert "make them the same" in refusal(path, content)
-
-
-def test_ranges_may_be_a_linspace(can):
-    path, content = can
-    content["grasp_ranges"]["force_n"] = {"linspace": [2, 10, 5]}
-    path.write_text(yaml.safe_dump(content), encoding="utf-8")
-    assert load_object("tomato_soup_can").grasp_ranges["force_n"] == (2, 4, 6, 8, 10)
-
-
 def test_a_mesh_that_is_missing_or_torn_is_refused(can):
     path, content = can
     content["shape"] = {"mesh": "surface.ply", "collision": "collision.npz", "source": "test"}

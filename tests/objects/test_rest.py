@@ -83,13 +83,6 @@ def test_an_overhang_topples_to_its_hull_and_lies_flat():
     assert (np.abs(lying[:, 2] - lying[:, 2].min()) < 1e-6).sum() >= 4
 
 
-def test_a_cone_on_its_tip_lies_on_its_side():
-    cone = turned(trimesh.creation.cone(radius=10.0, height=50.0, sections=180), 180.0, [1, 0, 0])
-    rotation = toppled(mesh_of(cone))
-    side_deg = 90.0 - np.degrees(np.arctan2(10.0, 50.0))
-    assert angle_deg(rotation) == pytest.approx(side_deg, abs=1.0)
-
-
 def test_the_import_rests_it_and_says_how():
     turned(box(), 20.0, [1, 0, 0]).export("leaning.stl")
     added = add_object("leaning.stl", mass_kg=0.1)
@@ -137,12 +130,3 @@ def test_heights_at_which_nothing_is_met_are_not_suggested():
     trimesh.boolean.union([bar, *feet], engine="manifold").export("bridge.stl")
     added = add_object("bridge.stl", mass_kg=0.2)
     assert min(added.object.grasp_ranges["z_mm"]) > 40.0
-
-
-def test_a_glb_points_up_with_its_y_axis():
-    tall = box(30.0, 80.0, 40.0)
-    tall.export("tall.glb")
-    tall.export("tall.stl")
-    assert np.ptp(add_object("tall.glb", mass_kg=0.1).object.surface.vertices_mm[:, 2]) > 79.0
-    flat = add_object("tall.stl", mass_kg=0.1, force=True)
-    assert np.ptp(flat.object.surface.vertices_mm[:, 2]) < 41.0

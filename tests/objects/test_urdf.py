@@ -52,21 +52,6 @@ def test_links_are_where_their_joints_put_them():
     assert notes[0] == "2 links are one rigid body, its 1 joints that move held at 0"
 
 
-def test_a_chain_of_joints_in_any_order():
-    path = write(
-        link("c", '<sphere radius="0.01"/>'),
-        joint("b", "c", xyz="0 0 0.05"),
-        link("b", '<cylinder radius="0.01" length="0.02"/>', rpy="1.5707963267948966 0 0"),
-        joint("a", "b", xyz="0.05 0 0", rpy="0 1.5707963267948966 0"),
-        link("a", BASE),
-    )
-    surface, _ = import_surface(path)
-    # c is 50 mm along b's z, which is the world's x.
-    assert surface.vertices_mm[:, 0].max() - surface.vertices_mm[:, 0].min() == pytest.approx(
-        20.0 + 50.0 + 50.0 + 10.0, abs=0.01
-    )
-
-
 def test_meshes_beside_it_and_in_its_package(own_folder):
     (own_folder / "pkg" / "urdf").mkdir(parents=True)
     (own_folder / "pkg" / "meshes").mkdir()

@@ -30,54 +30,22 @@ def test_smoothing_is_a_convolution_with_a_gaussian():
     assert full.sum() == pytest.approx(1, abs=1e-6)
 
 
-@pytest.mark.parametrize("sigma_px", [1.1, 1.9, 2.0, 3.0, 3.5, 4.0, 7.0, 8.0, 12.0])
-@pytest.mark.parametrize("shape", [(160, 200), (161, 203)])
-def test_a_gaussian_is_a_gaussian_also_where_it_works_on_blocks(sigma_px, shape):
-    """The spread of a step is the error function; its mass stays."""
-    step = np.zeros(shape, dtype=np.float32)
-    step[:, 100:] = 1
-    Gaussian(sigma_px).apply(step, (0, shape[0], 0, shape[1]))
-    away = (np.arange(shape[1]) + 0.5 - 100) / sigma_px
-    expected = np.array([0.5 * (1 + math.erf(a / math.sqrt(2))) for a in away])
-    # Sampled, cut at three standard deviations or linear between blocks: a percent of the step,
-    # two where a block is as wide as σ.
-    atol = 2e-2 if 1.9 <= sigma_px < 3 else 1e-2
-    np.testing.assert_allclose(step, np.tile(expected, (shape[0], 1)), atol=atol)
-
-
 @pytest.mark.parametrize("sigma_px", [1.1, 1.9, 2.0, 3.5, 7.5, 8.0])
-@pytest.mark.parametrize("period_px", [2.25, 2.5, 3, 4, 4.25, 4.5, 5, 6, 8, 12, 20, 30])
-def test_waves_are_damped_as_by_a_gaussian(sigma_px, period_px):
+def test_waves_are_damped_as_by_a_gaussian(sigma_px):
     """By exp(−½ (ω σ)²), wherever their crests lie in the blocks.
 
     To three percent of their height; a wave shorter than two blocks is seen as a longer one.
     """
     gaussian = Gaussian(sigma_px)
-    atol = 0.03 if period_px >= 2 * gaussian.factor else 0.16
-    phase = 2 * math.pi * np.arange(300) / period_px
-    for shift in (0.0, 0.8, 1.6, 2.4):
-        wave = np.tile(np.cos(phase + shift).astype(np.float32), (12, 1))
-        gaussian.apply(wave, (0, 12, 0, 300))
-        damping = math.exp(-0.5 * (2 * math.pi / period_px * sigma_px) ** 2)
-        expected = damping * np.cos(phase + shift)
-        np.testing.assert_allclose(wave[6, 60:240], expected[60:240], atol=atol)
-
-
-@pytest.mark.parametrize("sigma_px", [1.1, 2.0, 3.5, 8.0])
-def test_means_of_blocks_and_interpolation_add_their_own_variance(sigma_px):
-    """The variances of the kernel, in blocks, and of each halving, a pixel² there, are a sum."""
-    blur = Gaussian(sigma_px)
-    k = np.arange(1, len(blur.kernel))
-    in_blocks = 2 * np.sum(k**2 * blur.kernel[1:].astype(float))
-    expected = blur.factor**2 * in_blocks + (blur.factor**2 - 1) / 3
-    spreads = []
-    for x in range(100, 100 + blur.factor):
-        impulse = np.zeros((8, 200), dtype=np.float32)
-        impulse[:, x] = 1
-        blur.apply(impulse, (0, 8, 0, 200))
-        spreads.append(np.sum((np.arange(200) - x) ** 2 * impulse[4].astype(float)))
-    assert np.mean(spreads) == pytest.approx(expected, rel=1e-4)
-    assert expected == pytest.approx(sigma_px**2, rel=0.03)  # cut at three standard deviations
+    for period_px in (2.25, 2.5, 3, 4, 4.25, 4.5, 5, 6, 8, 12, 20, 30):
+        atol = 0.03 if period_px >= 2 * gaussian.factor else 0.16
+        phase = 2 * math.pi * np.arange(300) / period_px
+        for shift in (0.0, 0.8, 1.6, 2.4):
+            wave = np.tile(np.cos(phase + shift).astype(np.float32), (12, 1))
+            gaussian.apply(wave, (0, 12, 0, 300))
+            damping = math.exp(-0.5 * (2 * math.pi / period_px * sigma_px) ** 2)
+            expected = damping * np.cos(phase + shift)
+            np.testing.assert_allclose(wave[6, 60:240], expected[60:240], atol=atol)
 
 
 @pytest.mark.parametrize("sigma_px", [2.0, 3.0, 3.5, 4.0, 8.0])
@@ -140,7 +108,3 @@ def test_only_what_a_contact_reaches_is_computed(contact):
     assert not outside.any()
     within = whole[window[0] : window[1], window[2] : window[3]]
     np.testing.assert_allclose(part, within, rtol=0, atol=NEGLIGIBLE_MM)
-
-
-def test_nothing_stays_nothing():
-    assert not deform(np.zeros((50, 60)), MM_PER_PX).any()

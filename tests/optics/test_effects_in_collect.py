@@ -11,7 +11,6 @@ from tacgen.collection.recipe import load_recipe
 from tacgen.collection.run import collect
 from tacgen.dataset import Dataset
 from tacgen.optics import load_table, save_table
-from tacgen.optics.effects import Stage, optical_effects
 from tests.small_world import write_world
 
 pytestmark = pytest.mark.slow
@@ -72,7 +71,3 @@ def test_collect_writes_the_images_of_all_effects_together(tmp_path, monkeypatch
     collect(recipe_with(tmp_path, EFFECTS), tmp_path / "out", workers=1, progress=False)
     pads = Dataset(tmp_path / "out").read(0).pads
     np.testing.assert_array_equal(made, np.stack([pads[pad].rgb[0] for pad in sorted(pads)]))
-
-
-def test_the_effects_are_all_that_the_renderer_applies():
-    assert list(EFFECTS) == [effect.name for effect in optical_effects(Stage.SURFACE)]

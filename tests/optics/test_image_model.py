@@ -14,7 +14,6 @@ from tacgen.optics.image_models import (
     ImageModel,
     Quadratic,
     base,
-    nearest_quadratic,
     register_model,
 )
 from tacgen.optics.reconstruct import Reconstructor
@@ -123,13 +122,6 @@ def test_it_is_written_and_read_in_a_section_of_its_own(tmp_path):
     assert isinstance(again.image_model, Quadratic)
 
 
-def test_the_nearest_quadratic_of_a_quadratic_is_itself():
-    coefficients = np.random.default_rng(0).normal(0, 10, (20, 36, 3, 6)).astype(np.float32)
-    coefficients[0] = 0  # level gel has no direction
-    found = nearest_quadratic(Quadratic(coefficients, 1.2), 1.2, 20, 36)
-    np.testing.assert_allclose(found, coefficients, atol=2e-3)
-
-
 def test_a_table_of_an_unknown_model_is_refused(tmp_path, monkeypatch):
     path = tmp_path / "table.npz"
     save_table(lambert_table(), path)
@@ -137,11 +129,6 @@ def test_a_table_of_an_unknown_model_is_refused(tmp_path, monkeypatch):
     unknown = r"table\.npz: its image model 'lambert' is unknown \(there are quadratic, response\)"
     with pytest.raises(TableError, match=unknown):
         load_table(path)
-
-
-def test_a_kind_has_one_model():
-    with pytest.raises(TableError, match="'quadratic' is registered twice"):
-        register_model(type("Other", (Lambert,), {"kind": "quadratic"}))
 
 
 def test_tables_of_before_are_read(tmp_path):

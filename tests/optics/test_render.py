@@ -149,13 +149,6 @@ def plain_response(height_mm, made):
     return made.background + RegularGridInterpolator(nodes, wrapped)(at)
 
 
-def test_a_response_is_linear_between_its_nodes():
-    made = with_response(table())
-    rendered = render_rgb(bumps(), made).astype(float)
-    expected = np.clip(plain_response(bumps(), made), 0, 255)
-    assert abs(rendered - expected).max() <= 0.5 + 2e-3
-
-
 def test_a_response_that_is_linear_in_position_renders_as_its_coefficients():
     """Features u, v and 1 alone: both forms of a table are the same function."""
     made = table()
@@ -214,9 +207,15 @@ EFFECTS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("effects", EFFECTS.values(), ids=EFFECTS)
-@pytest.mark.parametrize("shadows", [False, True])
-@pytest.mark.parametrize("window", [(20, 61, 30, 81), (0, 35, 60, 120), (0, 90, 0, 120)])
-@pytest.mark.parametrize("form", [table, lambda **changes: with_response(table(**changes))])
+@pytest.mark.parametrize(
+    ("shadows", "window", "form"),
+    [
+        (False, (20, 61, 30, 81), table),
+        (True, (0, 35, 60, 120), table),
+        (True, (0, 90, 0, 120), lambda **changes: with_response(table(**changes))),
+    ],
+    ids=["inside", "at the edge", "whole"],
+)
 def test_the_quick_path_gives_the_same_picture_to_the_last_bit(effects, shadows, window, form):
     made = form(effects=effects)
     rest = dome().astype(np.float32)
@@ -269,15 +268,6 @@ def test_noise_has_the_tables_width_is_seeded_and_off_without_a_generator():
     assert error.std() == pytest.approx(math.sqrt(2.0**2 + 1 / 12), rel=0.02)
     assert abs(error.mean()) < 0.05
     np.testing.assert_array_equal(render_rgb(flat, made), clean)
-
-
-def test_input_is_left_as_it_was_and_steep_slopes_are_finite():
-    height = bumps()
-    height[40, 40] -= 50
-    before = height.copy()
-    rendered = render_rgb(height, table(), shadows=True)
-    np.testing.assert_array_equal(height, before)
-    assert rendered.dtype == np.uint8
 
 
 def test_a_table_of_another_resolution_and_holes_are_refused():

@@ -48,10 +48,6 @@ class TestBadInput:
         with pytest.raises(ValidationError, match="= 200 is not reached by lift_mm = 180; lift"):
             PhysicsSettings(success_rise_mm=200.0)
 
-    def test_every_fault_of_the_frames_is_named(self) -> None:
-        with pytest.raises(ValidationError, match="2 validation errors"):
-            FrameRequest("sequence", 0, -1.0)
-
     def test_a_force_beyond_the_gripper(self, simulator: GraspSimulator) -> None:
         with pytest.raises(PhysicsError, match=r"force_n = 99 exceeds robot\.max_force_n = 40"):
             grasp(simulator, block(), force_n=99.0)

@@ -29,6 +29,7 @@ SETTINGS = PhysicsSettings(tactile_pads="both")
 Record = Callable[[str, object], None]
 Holds = Callable[[float], bool]
 RecordThreshold = Callable[[str, Holds, float, float], None]
+IN_ALL = partial(pytest.param, marks=pytest.mark.exhaustive)
 HALF_STEP = replace(SETTINGS, time_step_s=SETTINGS.time_step_s / 2)
 FINE = 6
 """Halvings that leave 0.1 % of bounds at ± 3 %, and 0.3 % of those at ± 10 %."""
@@ -96,7 +97,7 @@ def offset_does_not_turn(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("friction", [0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8])
+@pytest.mark.parametrize("friction", [0.2, 0.8, *map(IN_ALL, (0.3, 0.4, 0.5, 0.6, 0.7))])
 def test_two_fingers_hold_what_coulomb_allows(
     simulator: GraspSimulator, friction: float, record_threshold: RecordThreshold
 ) -> None:
@@ -107,8 +108,17 @@ def test_two_fingers_hold_what_coulomb_allows(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("friction", [0.2, 0.4, 0.8])
-@pytest.mark.parametrize("shape", ["cylinder", "ball"])
+@pytest.mark.parametrize(
+    ("shape", "friction"),
+    [
+        ("cylinder", 0.2),
+        ("ball", 0.8),
+        IN_ALL("cylinder", 0.4),
+        IN_ALL("ball", 0.4),
+        IN_ALL("cylinder", 0.8),
+        IN_ALL("ball", 0.2),
+    ],
+)
 def test_round_objects_hold_from_the_same_force(
     simulator: GraspSimulator, shape: str, friction: float
 ) -> None:
@@ -129,16 +139,6 @@ def test_the_threshold_scales_with_force(
     simulator: GraspSimulator, force_n: float, record_threshold: RecordThreshold
 ) -> None:
     lifted = mass_is_lifted(simulator, 0.4, force_n=force_n)
-    assert lifted(0.97)
-    assert not lifted(1.03)
-    record_threshold("mass_over_closed_form", lifted, 0.97, 1.03)
-
-
-@pytest.mark.slow
-def test_friction_does_not_depend_on_yaw(
-    simulator: GraspSimulator, record_threshold: RecordThreshold
-) -> None:
-    lifted = mass_is_lifted(simulator, 0.5, yaw_rad=0.7)
     assert lifted(0.97)
     assert not lifted(1.03)
     record_threshold("mass_over_closed_form", lifted, 0.97, 1.03)
@@ -181,9 +181,9 @@ def test_friction_is_a_cone_and_not_a_pyramid(bullet_world: Any, record_property
     ("friction", "force_n", "spinning_friction_mm", "friction_share"),
     [
         (0.5, 20.0, 2.0, 0.2),
-        (0.5, 20.0, 2.0, 0.5),
-        (0.5, 20.0, 2.0, 0.8),
-        (0.3, 30.0, 1.0, 0.3),
+        IN_ALL(0.5, 20.0, 2.0, 0.5),
+        IN_ALL(0.5, 20.0, 2.0, 0.8),
+        IN_ALL(0.3, 30.0, 1.0, 0.3),
         (0.8, 8.0, 3.2, 0.3),
     ],
 )
@@ -284,7 +284,7 @@ def test_the_ellipse_is_near_the_limit_surface_of_a_real_patch(pressure: str) ->
         assert torsion_factor(force) == pytest.approx(np.sqrt(1 - force**2))
 
 
-@pytest.mark.parametrize("force_n", [2.0, 5.0, 12.0, 25.0, 40.0])
+@pytest.mark.parametrize("force_n", [2.0, 40.0, *map(IN_ALL, (5.0, 12.0, 25.0))])
 def test_each_pad_presses_with_the_commanded_force(
     simulator: GraspSimulator, force_n: float, record_property: Record
 ) -> None:
@@ -334,6 +334,7 @@ def test_a_pad_keeps_its_force_while_the_object_slides(
     assert shares.mean() == pytest.approx(1.0, abs=0.02)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_halving_the_time_step_moves_no_threshold(
     simulator: GraspSimulator, record_threshold: RecordThreshold
@@ -403,7 +404,7 @@ def test_the_arm_and_the_floating_gripper_agree_but_for_the_border(
     simulator: GraspSimulator, arm_simulator: GraspSimulator, record_property: Record
 ) -> None:
     differing = compared = 0
-    for force_n in (3.0, 5.0, 8.0, 14.0):
+    for force_n in (3.0, 8.0):
         for y_mm in (-12.0, 0.0, 6.0):
             for z_mm in (35.0, 65.0):
                 obj = block(mass_kg=0.4, friction=0.4, spinning_friction_mm=2.0)
@@ -418,15 +419,5 @@ def test_the_arm_and_the_floating_gripper_agree_but_for_the_border(
                 differing += ours.label != theirs.label and not at_border
     record_property("compared", compared)
     record_property("differing", differing)
-    assert compared >= 20
+    assert compared >= 10
     assert differing == 0
-
-
-def test_a_light_block_in_a_strong_grip_does_not_creep(simulator: GraspSimulator) -> None:
-    obj = block(mass_kg=0.002, size_mm=(30.0, 30.0, 30.0))
-    trace = grasp(simulator, obj, force_n=20.0, z_mm=15.0)
-    assert trace.rise_mm == pytest.approx(180.0, abs=0.05)
-    assert trace.turn_rad < 1e-3
-    # MuJoCo's pads together sink in by 2 × 20 N / (1000 N/mm), less than 0.1 mm.
-    poses = [trace.frames[pad][0].pose_gel_object[2, 3] for pad in ("left", "right")]
-    assert poses == pytest.approx([15.0, 15.0], abs=0.1)

@@ -33,8 +33,7 @@ def test_an_unknown_engine() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("missing", "engine", "code"), [
-    ("pybullet", "mujoco", 0), ("pybullet", "auto", 0), ("pybullet", "pybullet", 2),
-    ("mujoco", "mujoco", 2),
+    ("pybullet", "auto", 0), ("pybullet", "pybullet", 2), ("mujoco", "mujoco", 2),
 ])  # fmt: skip
 def test_collect_needs_its_own_engine_alone(
     missing: str, engine: str, code: int, tmp_path: Path

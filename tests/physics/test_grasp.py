@@ -157,21 +157,9 @@ class TestFrames:
         assert trace.object_pose[0, :3] == pytest.approx([0, 0, 0], abs=0.02)
         assert trace.object_pose[-1, 2] == pytest.approx(180.0, abs=1.0)
 
-    def test_the_single_frame_comes_before_the_lift(self, simulator: GraspSimulator) -> None:
-        trace = grasp(simulator, block())
-        assert trace.object_pose.shape == (1, 7)
-        assert trace.object_pose[0, 2] == pytest.approx(0.0, abs=0.1)
-        assert trace.label == 1
-
     def test_only_the_pads_with_a_sensor_are_recorded(self, simulator: GraspSimulator) -> None:
         settings = PhysicsSettings(tactile_pads="right")
         assert set(grasp(simulator, block(), settings=settings).frames) == {"right"}
-
-    def test_records_cannot_be_written_to(self, simulator: GraspSimulator) -> None:
-        trace = grasp(simulator, block())
-        frame = trace.frames["left"][0]
-        arrays = [trace.object_pose, frame.force_shear_n, frame.pose_gel_object]
-        assert not any(array.flags.writeable for array in arrays)
 
 
 class TestPerturbations:

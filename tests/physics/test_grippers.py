@@ -11,7 +11,7 @@ import yaml
 from tacgen.collection.recipe import load_recipe
 from tacgen.core.errors import PhysicsError, RecipeError
 from tacgen.core.resources import gripper_path, packaged
-from tacgen.physics import GraspSimulator, PhysicsSettings
+from tacgen.physics import PhysicsSettings
 from tacgen.physics.gripper import load_gripper
 from tacgen.physics.settings import EngineName
 
@@ -78,14 +78,6 @@ def test_a_recipe_names_its_gripper(tmp_path: Path) -> None:
     path.write_text("name: one\nobjects: [golf_ball]\nrobot: {name: ur5e_frankadigit}\n")
     with pytest.raises(RecipeError, match=r"robot\.name.*did you mean 'franka_digit'"):
         load_recipe(path)
-
-
-def test_the_users_own_file_wins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    written(tmp_path, stroke_mm=64.0)
-    monkeypatch.chdir(tmp_path)
-    with GraspSimulator("wsg50") as simulator:
-        trace = grasp(simulator, block(size_mm=(70.0, 60.0, 100.0)))
-    assert "wider there than the stroke of 64 mm" in trace.reason
 
 
 @pytest.mark.parametrize(("change", "words"), [

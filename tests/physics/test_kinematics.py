@@ -30,14 +30,6 @@ def test_quaternions_and_rotations_agree_with_scipy() -> None:
         )
 
 
-def test_half_turns_have_a_quaternion() -> None:
-    for axis in range(3):
-        rotation = -np.eye(3)
-        rotation[axis, axis] = 1.0
-        quaternion = frames.quaternion_from_rotation(rotation)
-        assert abs(quaternion[axis]) == pytest.approx(1.0)
-
-
 @pytest.mark.parametrize("pad", ["left", "right"])
 def test_gel_axes_are_right_handed_and_rows_run_down(pad: str) -> None:
     side = default_gripper().side(pad)

@@ -22,8 +22,6 @@ from tacgen.physics.gripper import outline_of
 from tacgen.physics.margins import TorsionLimit, grasp_capacity, slip_margin, torsion_factor
 from tacgen.physics.outcome import Motion, failure_mode, first_slip, label_of
 from tacgen.physics.pybullet_import import require_numpy
-from tacgen.physics.recorder import frame_end_steps
-from tacgen.physics.settings import FrameRequest
 from tacgen.physics.world import ball_of
 
 from .conftest import GRAVITY_M_S2, block
@@ -182,19 +180,6 @@ class TestMargins:
         )
         assert capacity.torsion_limit_n_mm == pytest.approx(0.5 * 20 * 6.0)
 
-    def test_no_contact_holds_nothing(self) -> None:
-        capacity = grasp_capacity(
-            flat_pads(0.0),
-            closing_axis=X_AXIS,
-            center_of_mass_m=np.zeros(3),
-            mass_kg=0.2,
-            friction=0.5,
-            torsion=declared(2.0),
-            success_turn_rad=0.1,
-        )
-        assert slip_margin(capacity, 0.2, 0.0, np.zeros(2)).translational == pytest.approx(-1.0)
-        assert torsion_factor(capacity.friction_share) == 0.0
-
 
 class TestBodies:
     def test_principal_axes_diagonalise(self) -> None:
@@ -246,11 +231,6 @@ class TestWorld:
             assert touch.gap_m == pytest.approx(0.055 - 0.030, abs=2e-6)
             assert touch.normal == pytest.approx([1.0 if pad == "left" else -1.0, 0, 0], abs=1e-6)
 
-    def test_an_object_stands_on_the_table(self, bullet_world: Any) -> None:
-        body, _ = bullet_world.build(block(), SETTINGS, 1.0)
-        points = bullet_world.bullet.getClosestPoints(body.body, bullet_world.table, 1.0)
-        assert min(point[8] for point in points) == pytest.approx(0.0, abs=1e-6)
-
     def test_a_resting_object_presses_the_table_with_its_weight(
         self, simulator: GraspSimulator
     ) -> None:
@@ -269,11 +249,6 @@ class TestWorld:
             require_numpy(without)  # type: ignore[arg-type]
         assert "pip install --force-reinstall" in str(caught.value)
         assert "Python 3.11" in str(caught.value)
-
-
-@pytest.mark.parametrize(("count", "ends"), [(1, [1440]), (4, [0, 480, 960, 1440])])
-def test_frames_are_spread_over_the_span(count: int, ends: list[int]) -> None:
-    assert frame_end_steps(FrameRequest("sequence", count, 3.0), 1 / 480) == ends
 
 
 @pytest.mark.parametrize("center_mm", [(0.0, 0.0, 0.0), (3.0, -2.0, 21.0)])

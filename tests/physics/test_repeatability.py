@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import fields, is_dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings
+from tacgen.physics import FrameRequest, GraspSimulator
 from tacgen.physics.settings import EngineName
 
 from .conftest import SEQUENCE, block, dumbbell, grasp, opened
@@ -60,20 +59,3 @@ class TestRepeatability:
             with opened("ur5e_wsg50", engine) as second:
                 grasp(second, block(), force_n=3.0)
                 assert as_bytes(grasp(first, block())) == alone
-
-    @pytest.mark.slow
-    def test_memory_does_not_grow(self, engine: EngineName) -> None:
-        def resident_kb() -> int:
-            return int(Path("/proc/self/statm").read_text().split()[1]) * 4
-
-        if not Path("/proc/self/statm").exists():
-            pytest.skip("needs /proc")
-        short = PhysicsSettings(tactile_pads="both", lift_mm=10.0, success_rise_mm=5.0)
-        with opened("wsg50", engine) as simulator:
-            for _ in range(20):
-                grasp(simulator, dumbbell(), z_mm=30.0, settings=short)
-            before = resident_kb()
-            for _ in range(60):
-                grasp(simulator, dumbbell(), z_mm=30.0, settings=short)
-            # 10 kB a grasp would be 10 MB over a thousand; PyBullet itself keeps about 0.3 kB.
-            assert resident_kb() - before < 60 * 10

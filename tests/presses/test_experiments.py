@@ -32,16 +32,6 @@ def other_pictures(presses):
     return replace(presses, images=virtual_presses(8, count=len(presses)).images)
 
 
-def test_a_trial_is_a_press():
-    presses = other_pictures(frames_of(trial=np.repeat([3.0, 1.0, 7.0, 8.0, 9.0], FRAMES)))
-    assert experiments_of(presses).tolist() == WANTED
-
-
-def test_a_trial_that_is_the_same_for_all_says_nothing():
-    presses = other_pictures(frames_of(trial=np.zeros(5 * FRAMES)))
-    assert len(set(experiments_of(presses))) == 5 * FRAMES
-
-
 def test_a_number_that_two_balls_share_is_two_presses():
     balls = np.tile([2.0, 3.0], 10)
     presses = other_pictures(frames_of(trial=np.repeat([0.0, 1.0], 10), ball_radius_mm=balls))

@@ -430,13 +430,6 @@ def test_the_diameter_of_a_ball_is_no_radius(tmp_path):
     assert (log["radius_mm"] == RADIUS_MM).all()
 
 
-def test_one_press_in_kgf_is_left_out_and_said(tmp_path):
-    frame = presses()
-    frame.loc[frame["trial"] == 3, "F"] /= STANDARD_GRAVITY
-    log = read_press_log(written(tmp_path, plain(frame)), radius_mm=RADIUS_MM)
-    assert [trial.trial for trial in log.dropped] == [3]
-
-
 @pytest.mark.slow
 def test_no_page_runs_what_a_log_is_named(tmp_path):
     """Names of files, columns and indenters are text on the pages of both commands."""
@@ -452,10 +445,3 @@ def test_no_page_runs_what_a_log_is_named(tmp_path):
         text = (tmp_path / page).read_text(encoding="utf-8")
         assert not [word for word in ("<script>alert", "<img src=x", "<b>log") if word in text]
     assert "onerror=alert(2)&gt;" in text
-
-
-def test_a_gauge_far_from_its_zero_is_no_other_unit(tmp_path):
-    frame = presses()
-    path = written(tmp_path, with_volume(frame.assign(F=frame["F"] + 40.0), *VOLUMES))
-    law = calibrate_contact(path, tmp_path / "law.yaml").law
-    assert law.k_n_mm3_per_n.value == pytest.approx(K_N, rel=0.01)

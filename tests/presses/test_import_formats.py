@@ -1,7 +1,6 @@
 """Press sets of other toolkits, made here in the layout that their own readers expect."""
 
 import json
-import weakref
 
 import cv2
 import numpy as np
@@ -9,10 +8,8 @@ import pandas as pd
 import pytest
 
 from tacgen.core.errors import PressError, TacgenError
-from tacgen.presses import import_formats
 from tacgen.presses.import_formats import import_presses
 from tacgen.presses.press_folder import read_presses
-from tacgen.presses.rules import IMAGES
 
 BACKGROUND = np.full((48, 64, 3), (90, 120, 150), np.uint8)  # blue, green, red
 
@@ -180,23 +177,6 @@ def test_py3dcal_labels_that_cannot_be_or_contradict_the_pictures_are_left_out(
     np.testing.assert_allclose(found.stage_mm, PLACES)
 
 
-def test_py3dcal_without_depths_finds_its_circles(tmp_path):
-    presses = [(*p, np.nan, a) for p, a in zip(PLACES, SEEN_PX, strict=True)]
-    write_py3dcal(tmp_path / "set", presses)
-    notes = import_presses("py3dcal", tmp_path / "set", tmp_path / "out").notes
-    assert "4 rows have no penetration_depth_mm" in notes[0]
-    assert not read_presses(tmp_path / "out").labelled.any()
-
-
-def test_py3dcal_one_wrong_label_is_left_out_alone(tmp_path):
-    depths_mm = [*DEPTHS_MM[:3], 3.5]
-    presses = [(*p, d, a) for p, d, a in zip(PLACES, depths_mm, SEEN_PX, strict=True)]
-    write_py3dcal(tmp_path / "set", presses)
-    notes = import_presses("py3dcal", tmp_path / "set", tmp_path / "out").notes
-    assert "25% of the circles" in notes[0]
-    assert read_presses(tmp_path / "out").labelled.tolist() == [True, True, True, False]
-
-
 @pytest.mark.parametrize("name", ["../../secret", "/etc", "9.470mm/../../x"])
 def test_names_that_lead_out_of_the_set_are_refused(gs_sdk, tmp_path, name):
     table = pd.read_csv(gs_sdk / "catalog.csv")
@@ -290,55 +270,6 @@ def test_pretrain_radii_are_those_of_indenter_param_in_the_unit_of_the_given(
     assert shown[3][20, 10 + 6 * 4].tolist() == [130, 160, 60]
 
 
-def test_pretrain_one_radius_for_balls_of_several_sizes_is_refused(tmp_path):
-    write_pretrain(tmp_path / "set", BALLS)
-    with pytest.raises(PressError, match=r"indenter_param 7, 12(.|\n)*radius of the largest"):
-        import_presses(
-            "gelsight-mini-pretrain", tmp_path / "set", tmp_path / "out", mm_per_px=0.06,
-            ball_radius_mm=5.0,
-        )  # fmt: skip
-
-
-def test_pretrain_presses_of_several_gels_are_said(tmp_path):
-    write_pretrain(tmp_path / "set", [("sphere", "10", -1.0)] * 4)
-    path = tmp_path / "set" / "train-00000.parquet"
-    table = pd.read_parquet(path).assign(gel_variant=["black_dot", "black_dot", "different", "x"])
-    table.to_parquet(path)
-    found = import_presses(
-        "gelsight-mini-pretrain", tmp_path / "set", tmp_path / "out", mm_per_px=0.06,
-        ball_radius_mm=5.0,
-    )  # fmt: skip
-    assert "several gels (feats black_dot; feats different; feats x)" in found.warnings[0]
-
-
-def test_pretrain_holds_few_pictures_at_once(tmp_path, monkeypatch):
-    write_pretrain(tmp_path / "set", [("sphere", "10", -1.0)] * 300, shards=3)
-    held = []
-    original = import_formats.decode_rgb
-
-    def counted(*args, **kwargs):
-        image = original(*args, **kwargs)
-        held.append(weakref.ref(image))
-        assert sum(one() is not None for one in held) <= IMAGES.background_pictures + 60
-        return image
-
-    monkeypatch.setattr(import_formats, "decode_rgb", counted)
-    found = import_presses(
-        "gelsight-mini-pretrain", tmp_path / "set", tmp_path / "out", mm_per_px=0.06,
-        ball_radius_mm=5.0,
-    )  # fmt: skip
-    assert found.count == 300
-
-
-def test_names_that_look_like_numbers_stay_names(gs_sdk, tmp_path):
-    (gs_sdk / "9.470mm" / "2").rename(gs_sdk / "0002")
-    table = pd.read_csv(gs_sdk / "catalog.csv")
-    rows = table[table["experiment_reldir"] == "9.470mm/2"].assign(experiment_reldir="0002")
-    rows.to_csv(gs_sdk / "catalog.csv", index=False)
-    assert import_presses("gs-sdk", gs_sdk, tmp_path / "out").count == 1
-    assert (tmp_path / "out" / "0002.png").is_file()
-
-
 def test_nothing_is_written_where_something_is_wrong(gs_sdk, tmp_path):
     (gs_sdk / "9.470mm" / "2" / "gelsight.png").unlink()
     with pytest.raises(PressError, match=r"2/gelsight\.png: missing"):
@@ -350,8 +281,3 @@ def test_what_exists_is_not_written_over(gs_sdk, tmp_path):
     (tmp_path / "out").mkdir()
     with pytest.raises(TacgenError, match="exists already"):
         import_presses("gs-sdk", gs_sdk, tmp_path / "out")
-
-
-def test_another_folder_is_told_apart(tmp_path):
-    with pytest.raises(PressError, match=r"catalog\.csv: cannot be read"):
-        import_presses("gs-sdk", tmp_path, tmp_path / "out")

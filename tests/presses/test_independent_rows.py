@@ -54,21 +54,6 @@ def test_rows_that_are_independent_are_all_kept() -> None:
     assert notes == []
 
 
-@pytest.mark.parametrize(("memory", "share"), [(0.6, 0.5), (0.9, 0.5), (0.3, 1.0)])
-def test_noise_with_a_white_part_is_left_as_it_is(memory: float, share: float) -> None:
-    """The diagnosis stands brief correlation, and what lasts is not mended by taking fewer rows."""
-    _, notes = reduced(measured(memory=memory, slow_share=share))
-    assert notes == []
-
-
-def test_an_exact_value_at_rest_is_no_reading_that_stands() -> None:
-    frame = measured()
-    at_rest = frame["force_normal_n"].abs() < 0.1
-    frame.loc[at_rest, ["force_normal_n", "volume_mm3"]] = 0.0
-    _, notes = reduced(frame)
-    assert notes == []
-
-
 @pytest.mark.parametrize("step_n", [0.05, 0.2, 1.0])
 def test_a_coarse_gauge_is_not_a_slow_one(step_n: float) -> None:
     frame = measured()

@@ -69,13 +69,6 @@ def test_mm_and_times_are_read_as_px_and_frames(folder, table, tmp_path):
     np.testing.assert_allclose(by_mm.time_s, by_px.time_s, atol=1e-6)
 
 
-def test_pixels_and_mm_are_inverse():
-    places = np.array([[0.0, 0.0], [319.5, 239.5]])
-    mm = px_to_mm(places, SENSOR.shape_px, SENSOR.mm_per_px)
-    np.testing.assert_allclose(mm[1], 0.0, atol=1e-12)  # the middle of the picture is the origin
-    np.testing.assert_allclose(mm_to_px(mm, SENSOR.shape_px, SENSOR.mm_per_px), places)
-
-
 def test_a_turn_and_a_shift_are_found_as_they_were_made():
     grid = marker_grid_mm(SENSOR)
     turn, shift = rigid_fit(turned(grid, 0.03) - [-0.2, 0.1], grid)
@@ -101,13 +94,6 @@ def test_lost_dots_are_left_out_and_named_with_their_frame(folder, table, tmp_pa
     assert "press 2, frame 28" in line
     assert "marker 5, 6" in line
     assert np.isnan(tracks.places_mm).any(axis=2).sum() == 2
-
-
-def test_a_frame_without_dots_is_named(folder, table, tmp_path):
-    none = (table["press"] == 1) & (table["frame"] == 14)
-    table.loc[none, ["x_px", "y_px"]] = np.nan
-    tracks = read(table, folder, tmp_path)
-    assert any("no dots" in line and "press 1, frame 14" in line for line in tracks.warnings)
 
 
 def test_no_dots_at_all_are_refused(folder, table, tmp_path):

@@ -46,12 +46,3 @@ def test_another_view_is_refused(presses, name):
     background = np.ascontiguousarray(ALTERED[name](presses.background))
     with pytest.raises(PressError, match=f"does not match the presses: {name}"):
         usable_presses(replace(presses, background=background))
-
-
-@pytest.mark.slow
-def test_another_crop_is_refused(presses):
-    """By 20 px; by 5 where the picture is 160 px wide, a quarter of the camera's."""
-    shift = 20 if presses.shape_px[1] > 200 else 6
-    background = np.ascontiguousarray(np.roll(presses.background, shift, axis=1))
-    with pytest.raises(PressError, match="it is shifted by"):
-        usable_presses(replace(presses, background=background))

@@ -1,14 +1,12 @@
 """Press folders and dataPacks: what is read, and what is said when they are wrong."""
 
 import re
-from contextlib import nullcontext
 
 import cv2
 import numpy as np
 import pytest
 
 from tacgen.core.errors import PressError, TacgenError
-from tacgen.presses.circles import find_circle
 from tacgen.presses.press_folder import read_presses
 from tacgen.presses.screening import usable_presses
 from tests.virtual_presses import virtual_presses
@@ -79,14 +77,6 @@ def test_a_folder_of_pictures_asks_for_the_ball_and_the_scale(tmp_path, presses)
     assert "sensor.yaml: missing; write `mm_per_px: <size of a pixel>` into it, or give" in text
     with pytest.raises(PressError, match=r"radius_mm = 4000 is not a ball's"):
         read_presses(folder, mm_per_px=0.1, ball_radius_mm=4000)
-
-
-def test_a_folder_with_a_background_alone_has_no_presses(tmp_path, presses):
-    folder = tmp_path / "p"
-    folder.mkdir()
-    cv2.imwrite(str(folder / "background.png"), presses.background[..., ::-1])
-    with pytest.raises(PressError, match="no picture beside the background; add the presses"):
-        read_presses(folder, mm_per_px=0.1, ball_radius_mm=3.0)
 
 
 def test_a_datapack_is_bgr(tmp_path, presses):
@@ -249,20 +239,6 @@ def test_a_background_that_is_not_of_these_presses(background, message):
         usable_presses(replace(made, background=np.ascontiguousarray(background(made))))
 
 
-def test_a_faint_contact_does_not_make_a_press_of_the_background():
-    """Where presses overlap, their median shows one, and the background differs from it."""
-    from dataclasses import replace
-
-    made = virtual_presses(21, count=12)
-    change = made.images[0].astype(float) - made.background
-    for share, refused in ((0.2, False), (1.0, True)):
-        background = np.rint(made.background + share * change).astype(np.uint8)
-        found = find_circle(background, np.median(made.images, axis=0).astype(np.uint8))
-        assert not found.problem
-        with pytest.raises(PressError, match="press itself") if refused else nullcontext():
-            usable_presses(replace(made, background=background))
-
-
 def test_pictures_of_two_sensors_in_one_folder():
     from dataclasses import replace
 
@@ -331,12 +307,3 @@ def test_labels_stand_where_a_camera_clips_most_of_the_contact(presses):
     used = usable_presses(replace(clipped, images=brighter))
     assert "its labelled centre is" in "\n".join(used.warnings)
     assert used.found.all()
-
-
-def test_rows_of_the_list_are_counted_as_an_editor_counts_lines(tmp_path, presses):
-    folder = write_folder(tmp_path / "p", presses)
-    listing = folder / "presses.csv"
-    header, first, *rest = listing.read_text().splitlines()
-    listing.write_text("\n".join(["# rig 2", header, first, "", first, *rest]))
-    with pytest.raises(PressError, match=r"row 5: .* is listed twice"):
-        read_presses(folder)

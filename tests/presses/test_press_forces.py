@@ -16,7 +16,7 @@ from tacgen.contact.shear import marker_grid_mm
 from tacgen.core.errors import PressError
 from tacgen.core.resources import packaged
 from tacgen.optics import save_table
-from tacgen.optics.dots import dots_at_rest, follow, printed_dots
+from tacgen.optics.dots import dots_at_rest, follow
 from tacgen.optics.reconstruct import Reconstructor, integrate
 from tacgen.optics.virtual_sensor import VirtualSensor
 from tacgen.presses.press_folder import WITH_FORCES, read_press_folder
@@ -101,16 +101,6 @@ def test_a_reconstructed_ball_has_its_volume(recipe, sensor, table, volume_mm3, 
     shape = reconstructor.shape_of(camera.take(contact, rng))
     assert shape.volume_mm3 == pytest.approx(volume_mm3, rel=share)
     assert shape.depth_mm.max() == pytest.approx(contact.depth_mm.max(), rel=0.06)
-
-
-@pytest.mark.slow
-def test_the_gel_at_rest_has_no_volume(recipe, sensor, table):
-    camera = Camera(recipe, sensor)
-    rng = np.random.default_rng(0)
-    background = camera.take(None, rng)
-    hidden = printed_dots(background)
-    shape = Reconstructor(table, background).shape_of(camera.take(None, rng), hidden)
-    assert shape.depth_mm.max() < 0.02
 
 
 def test_markers_are_followed_to_a_hundredth_of_the_sum(recipe, sensor):
@@ -222,12 +212,6 @@ def test_what_is_missing_is_said(broken):
     (broken / "sensor.yaml").unlink()
     with pytest.raises(PressError, match=r"sensor\.yaml: missing; write"):
         read_press_folder(broken, WITH_FORCES)
-
-
-def test_pictures_of_another_size(broken):
-    cv2.imwrite(str(broken / "a.png"), np.zeros((30, 40, 3), np.uint8))
-    with pytest.raises(PressError, match=r"a\.png: \(row 2\) is 40×30 px, the background 80×60"):
-        measure_presses(read_press_folder(broken, WITH_FORCES))
 
 
 def test_neither_table_nor_ball(broken):

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from tacgen.report.formatting import interval, number, percent, typeset, unit_text, with_error
+from tacgen.report.formatting import interval, number, typeset, unit_text, with_error
 
 
 def test_powers_of_lengths_are_raised_and_names_stay():
@@ -47,8 +47,3 @@ def test_a_value_has_the_decimals_of_its_error():
 def test_ends_of_an_interval_have_the_same_decimals():
     assert interval((5.1, 5.1734), "mm3/N") == "5.100 to 5.173 mm³/N"
     assert interval((None, 2.0)) == "– to 2"
-
-
-def test_shares_are_per_cent():
-    assert percent(0.0321) == "3.2 %"
-    assert percent(None) == "–"

@@ -34,17 +34,6 @@ def test_columns_of_numbers_align_with_their_headings_and_text_is_escaped():
     ]
 
 
-def test_a_column_with_words_in_it_keeps_its_heading_to_the_left():
-    body = table_section("T", ("AUROC",), [("one class",), (0.98,)]).body
-    assert "<th>AUROC</th>" in body
-    assert '<td class="number">0.98</td>' in body
-
-
-def test_floats_of_a_column_have_as_many_decimals():
-    body = table_section("T", ("k, mm3/N", "F"), [(5.13512, 10.0), (0.5, 20.0)]).body
-    assert [text for text, _ in cells_of(body)] == ["k, mm³/N", "F", "5.135", "10", "0.500", "20"]
-
-
 def test_a_page_is_whole_and_needs_no_network(tmp_path):
     rgb = np.full((4, 6, 3), 90, np.uint8)
     sections = [

@@ -114,11 +114,6 @@ def test_every_effect_reaches_the_strength_asked_for(effect):
     assert left_over / noise == pytest.approx(2.0, rel=1e-3)
 
 
-def test_no_strength_is_no_effect():
-    given = recipe(effects=(RigEffect(name="creep", strength=0.0),))
-    pd.testing.assert_frame_equal(simulate_session(given).log, simulate_session(recipe()).log)
-
-
 def test_the_truth_file_predicts_the_session(tmp_path):
     given = load_rig_recipe("rig_two_effects")
     run_rig(given, tmp_path)
@@ -233,9 +228,3 @@ def test_marker_tracks_sum_to_the_shear_force_and_are_the_same_twice(tmp_path):
         np.testing.assert_allclose(
             motion[top] - motion[held], wanted, atol=0.05 * np.hypot(*wanted)
         )
-
-
-def test_a_rig_without_dots_writes_no_tracks(tmp_path):
-    text = "extends: rig\nsensor: digit\nmarkers: {friction: 0.5}\n"
-    with pytest.raises(RecipeError, match="has no markers"):
-        load_rig_recipe(written(text, tmp_path))

@@ -8,8 +8,6 @@ from scripts.make_objects.all_objects import OBJECTS
 from scripts.make_objects.profiles import (
     polar,
     rounded_polygon,
-    rounded_rectangle,
-    superellipse_radius,
 )
 from scripts.make_objects.resting import resting_tilt_rad, settled
 from scripts.make_objects.shape import Shape, angles_rad, loft, moved, revolve, sweep, union
@@ -50,28 +48,11 @@ def test_swept_arc_has_the_volume_of_pappus():
     assert volume_mm3(solid) == pytest.approx(np.pi * 4**2 * np.pi * 50, rel=2e-3)
 
 
-def test_hull_faces_outward():
-    assert volume_mm3(box(2.0, 3.0, 4.0)) == pytest.approx(24.0)
-
-
 def test_union_counts_the_overlap_once():
     a = box(10.0, 10.0, 10.0)
     both = union([a, moved(a, shift_mm=np.array([4.0, 3.0, 2.0]))])
     assert as_trimesh(both).is_watertight
     assert volume_mm3(both) == pytest.approx(2000.0 - 6.0 * 7.0 * 8.0)
-
-
-def test_moved_turns_then_shifts():
-    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    solid = moved(box(2.0, 4.0, 6.0), turn=quarter, shift_mm=np.array([10.0, 0.0, 0.0]))
-    np.testing.assert_allclose(solid.vertices_mm.max(axis=0), [12.0, 1.0, 3.0], atol=1e-6)
-
-
-def test_rounded_rectangle_area_and_normals():
-    points, normals = rounded_rectangle(20.0, 30.0, 5.0, 0.05)
-    assert polygon_area(points) == pytest.approx(40 * 60 - (4 - np.pi) * 5**2, rel=1e-4)
-    larger, _ = rounded_rectangle(22.0, 32.0, 7.0, 0.05)
-    assert polygon_area(points + 2 * normals) == pytest.approx(polygon_area(larger), rel=1e-4)
 
 
 def test_rounded_polygon_area_and_normals():
@@ -80,13 +61,6 @@ def test_rounded_polygon_area_and_normals():
     assert polygon_area(points) == pytest.approx(400 - (4 - np.pi) * 3**2, rel=1e-4)
     shrunk = polygon_area(points - 3 * normals)
     assert shrunk == pytest.approx(14.0**2, rel=1e-6)
-
-
-def test_superellipse_of_power_two_is_an_ellipse():
-    angle = angles_rad(50)
-    radius = superellipse_radius(angle, 3.0, 5.0, 2.0)
-    x, y = radius * np.cos(angle), radius * np.sin(angle)
-    np.testing.assert_allclose((x / 3) ** 2 + (y / 5) ** 2, 1.0, rtol=1e-12)
 
 
 def test_inertia_of_a_box_away_from_the_origin():
@@ -138,6 +112,7 @@ def test_a_block_tips_off_its_edge_to_the_nearer_face():
         assert tilt == pytest.approx(nearest)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 @pytest.mark.parametrize("name", OBJECTS)
 def test_shipped_meshes_are_those_that_the_script_makes(name):

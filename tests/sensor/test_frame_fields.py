@@ -57,22 +57,6 @@ def test_the_force_is_where_the_ball_is(sensor):
     assert (share.sum(axis=0) @ x_mm, share.sum(axis=1) @ y_mm) == pytest.approx((3, 2), abs=0.5)
 
 
-def test_markers_move_with_the_shear(sensor):
-    still = sensor.render(BALL, np.eye(4), force_n=5.0)
-    sheared = sensor.render(BALL, np.eye(4), force_n=5.0, shear_n=(1.0, 0.0))
-    assert sheared.markers_mm.shape == sensor.marker_rest_mm.shape
-    moved_mm = sheared.markers_mm - still.markers_mm
-    nearest = np.linalg.norm(sensor.marker_rest_mm, axis=1).argmin()
-    assert moved_mm[nearest, 0] > 0.01
-    assert abs(moved_mm[:, 1].sum()) < 0.05 * moved_mm[:, 0].sum()
-
-
-def test_nothing_touches_nothing_moves(sensor):
-    frame = sensor.render(BALL, np.eye(4), force_n=0.0)
-    assert not frame.markers_mm.any()
-    assert not frame.force_field_n.any()
-
-
 def test_fields_are_made_when_asked_for_and_pickled_as_arrays(sensor, monkeypatch):
     asked = []
     real = TactilePad.force_field_n

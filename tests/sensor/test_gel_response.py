@@ -9,7 +9,7 @@ import pytest
 
 from tacgen.contact.law import ContactLaw, FittedEffect
 from tacgen.core.records import ContactFrame, Estimate
-from tacgen.sensor.gel_response import gel_loads, load_history
+from tacgen.sensor.gel_response import gel_loads
 
 
 def frames(forces_n, times_s, shear_n=(0.0, 0.0), torsion_n_mm=0.0):
@@ -38,11 +38,6 @@ def test_a_linear_law_is_linear_in_force_shear_and_torsion():
     assert [load.indentation_mm for load in loads] == [None] * 3
 
 
-def test_randomised_compliance_scales_the_volume():
-    loads = gel_loads(ContactLaw.linear(5.0), frames([2, 4], [0, 1]), k_n_factor=1.2)
-    assert [load.volume_mm3 for load in loads] == pytest.approx([12, 24])
-
-
 def test_tactos_law_gives_a_depth_and_no_volume():
     law = replace(
         ContactLaw.linear(5.0), law="linear_depth", k_depth_mm_per_n=Estimate(0.02, 0.0, "mm/N")
@@ -53,12 +48,6 @@ def test_tactos_law_gives_a_depth_and_no_volume():
     kept = replace(law, collision_margin_mm=0.07)
     loads = gel_loads(kept, frames([2, 4], [0, 1]), k_n_factor=1.5)
     assert [load.indentation_mm for load in loads] == pytest.approx([0.0, 0.02 * 4 * 1.5 - 0.07])
-
-
-def test_a_law_without_shear_moves_no_marker():
-    loads = gel_loads(ContactLaw.linear(5.0), frames([2], [0.5], (1.0, 0.0), 5.0))
-    assert not loads[0].shear_sum_mm.any()
-    assert not loads[0].turn_sum_mm2
 
 
 def test_creep_shows_in_the_sequence_and_ends_at_its_asymptote():
@@ -99,11 +88,3 @@ def test_a_gel_is_conditioned_by_the_first_grasps_of_a_dataset():
     # Gain 1 + 0.5 exp(−n / 2), n the grasps before this one.
     expected = [20 * (1 + 0.5 * math.exp(-n / 2)) for n in (0, 1, 100)]
     assert volume == pytest.approx(expected, rel=1e-9)
-
-
-def test_the_history_starts_unloaded_at_distinct_times():
-    for first in (0.0, 0.7):
-        history = load_history(frames([1, 2], [first, first + 1]))
-        assert history["time_s"][0] == pytest.approx(first, abs=2e-3)
-        assert history["force_normal_n"][0] == 0
-        assert (np.diff(history["time_s"]) > 0).all()

@@ -103,42 +103,11 @@ def test_the_gel_loses_the_volume_that_was_asked_for(table, radius_mm, volume_mm
         assert lost_mm3 == pytest.approx(volume_mm3, rel=1e-4)
 
 
-def test_a_flat_face_leaves_a_patch_that_grows_with_force(table):
-    pad = TactilePad(SENSOR, table)
-    for volume_mm3 in (1.0, 5.0, 25.0):
-        imprint = pad.press(BOX, pose_at(), GelLoad(volume_mm3))
-        radius_mm = math.sqrt(60 * imprint.indentation_mm - imprint.indentation_mm**2)
-        area_mm2 = (imprint.depth_mm > 0).sum() * SENSOR.pixel_area_mm2
-        assert area_mm2 == pytest.approx(math.pi * radius_mm**2, rel=0.03)
-
-
-def test_a_flat_face_on_a_flat_gel_leaves_no_imprint(table):
-    flat = replace(SENSOR, dome_radius_mm=0.0)
-    pad = TactilePad(flat, table)
-    np.testing.assert_array_equal(
-        pad.render(BOX, pose_at(), GelLoad(30.0)).rgb, pad.render(BOX, pose_at(), GelLoad()).rgb
-    )
-
-
 def test_too_much_force_presses_the_gel_through_and_says_so(table):
     imprint = TactilePad(SENSOR, table).press(ball(2.0), pose_at(), GelLoad(1e4))
     assert imprint.saturated
     assert imprint.indentation_mm == SENSOR.gel_depth_mm
     assert imprint.volume_mm3 < 1e4
-
-
-def test_an_object_beside_the_pad_leaves_the_picture_of_the_gel_at_rest(table):
-    pad = TactilePad(SENSOR, table)
-    frame = pad.render(ball(2.0), pose_at(x_mm=30), GelLoad(10.0, shear_sum_mm=(1.0, 0.0)))
-    np.testing.assert_array_equal(frame.rgb, render_rgb(gel_map_mm(SENSOR), table))
-    assert frame.imprint.indentation_mm == 0
-    assert not frame.imprint.saturated
-
-
-def test_the_depth_law_presses_to_its_depth(table):
-    imprint = TactilePad(SENSOR, table).press(ball(4.0), pose_at(), GelLoad(indentation_mm=0.7))
-    assert imprint.indentation_mm == pytest.approx(0.7, abs=1e-6)
-    assert imprint.depth_mm.max() == pytest.approx(0.7, abs=1e-6)
 
 
 def test_shear_carries_the_imprint_along_and_the_markers_sum_to_it(table):
@@ -189,27 +158,6 @@ def test_the_force_field_sums_to_the_force_and_slips_from_the_rim(table):
     assert ratio.max() <= 0.6 * 1.001
     assert ratio[at] < 0.35  # the middle sticks: what it bears is less than friction could hold
     assert not pad.force_field_n(pad.press(ball(4.0), pose_at(), GelLoad()), force_n, (3, 3)).any()
-
-
-def test_a_frame_goes_on_from_the_one_before(table):
-    pad = TactilePad(SENSOR, table)
-
-    def press(pull_n, before=None):
-        force_n = (pull_n, 0.0, 4.0)
-        load = GelLoad(
-            20.0, shear_sum_mm=force_n[:2], force_n=force_n, k_s_mm_per_n=1.0, friction=0.6
-        )
-        return pad.press(ball(4.0), pose_at(), load, before)
-
-    straight, back = press(1.0), press(1.0, press(2.2))
-    cells = [
-        pad.force_field_n(one, np.array([1.0, 0.0, 4.0]), (12, 16)) for one in (straight, back)
-    ]
-    assert np.abs(cells[1] - cells[0]).max() > 0.1 * np.abs(cells[0][..., 0]).max()
-    assert back.motion.shift_mm[0] > straight.motion.shift_mm[0]
-    lost = pad.press(ball(4.0), pose_at(), GelLoad(), back)
-    forgot = press(1.0, lost)
-    np.testing.assert_array_equal(forgot.depth_mm, straight.depth_mm)
 
 
 def test_a_mesh_is_checked_at_every_press(table):

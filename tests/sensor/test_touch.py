@@ -119,14 +119,6 @@ def test_two_bodies_that_touch_are_both_pressed():
     assert frame.contact_mask[:, 150:170].sum() == 0
 
 
-def test_of_two_bodies_the_one_beside_the_gel_is_not_in_the_force():
-    both = body(BALL, 0.0141, 0.03, "one") + body(BALL, 0.0141, 0.005, "two")
-    frame = mujoco_frame(both, watched=("one", "two"))
-    check(frame, 0.3)
-    imprint_of_ball(frame, 5.0)
-    assert frame.status == "outside_window"
-
-
 @pytest.mark.parametrize("x_m", [0.0115, 0.014, 0.03])
 def test_a_plate_on_ribs_beside_the_window_leaves_no_imprint(x_m):
     plate = '<geom type="box" size=".04 .015 .002" pos="0 0 .002" mass=".3"/>'
@@ -268,21 +260,6 @@ def test_a_urdfs_cylinder_is_pressed_as_the_hull_that_collides(bullet, tmp_path)
     check(frame, 0.2)
     polygon_mm2 = 16 * 4.0**2 * np.sin(np.pi / 16)
     assert frame.contact_mask.sum() * 0.0634**2 == pytest.approx(polygon_mm2, rel=0.02)
-
-
-@pytest.mark.parametrize("x_m", [0.012, 0.03])
-def test_a_plate_on_ribs_beside_the_window_leaves_no_imprint_in_pybullet(bullet, tmp_path, x_m):
-    ribs = "".join(shape(BOX.format(0.002, 0.03, 0.003), x, 0, -0.0015) for x in (-x_m, x_m))
-    plate = link("base", shape(BOX.format(0.08, 0.03, 0.004), z_m=0.002) + ribs, 0.3)
-    pad, robot = bullet_world(bullet, tmp_path, plate, 0.0131)
-    check_nothing(bullet_frame(bullet, pad, robot), "outside_window")
-
-
-def test_a_ball_that_studs_hold_above_the_gel_leaves_no_imprint_in_pybullet(bullet, tmp_path):
-    places = [(x, y) for x in (-0.02, 0.02) for y in (-0.02, 0.02)]
-    studs = "".join(shape(BOX.format(0.004, 0.004, 0.003), x, y, -0.0055) for x, y in places)
-    pad, robot = bullet_world(bullet, tmp_path, link("base", shape(SPHERE) + studs, 0.3), 0.0171)
-    check_nothing(bullet_frame(bullet, pad, robot), "outside_window")
 
 
 def test_a_contact_that_is_not_at_the_gels_height_is_not_on_the_gel(bullet, tmp_path):

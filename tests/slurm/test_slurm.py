@@ -11,9 +11,7 @@ import time
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
-from tacgen.cli import app
 from tacgen.cluster import states, submission
 from tacgen.collection.recipe import load_recipe, with_cluster
 from tacgen.collection.run import collect
@@ -169,31 +167,6 @@ def test_a_command_told_to_make_way_puts_itself_back_and_goes_on(world, tmp_path
     assert (job.state, job.attempt) == ("done", 2), job
     assert outcomes.read_text().startswith(before)
     assert json.loads((tmp_path / "fit/friction.json").read_text())[BOX]["mu"] == pytest.approx(MU)
-
-
-@pytest.mark.slow
-def test_a_training_told_to_make_way_goes_on_to_the_same_weights(world, tmp_path):
-    """``tacgen train`` as one job, signalled after its first epoch; compared with one at rest."""
-    pytest.importorskip("torch")
-    from tests.cluster.train_case import EPOCHS, write_train_case
-
-    command = write_train_case(tmp_path)
-    options = ["--mem-gb", "1.5", "--cpus-per-task", "1", "--time-min", "5", "--json"]
-    handed = json.loads(said(sys.executable, "-m", "tacgen", "submit", *options, "--", *command))
-    note = tmp_path / "run/jobs/000/task-00000.json"
-    wait_until(lambda: any(tmp_path.glob("run/models/*/metrics.jsonl")), "no epoch ended")
-    said("scancel", "--signal=USR2", handed["job"])
-    wait_until(lambda: "interrupted" in note.read_text() or "done" in note.read_text(), "?")
-    (job,) = submission.wait_for_command(tmp_path / "run")
-    assert (job.state, job.attempt) == ("done", 2), job
-    (metrics,) = tmp_path.glob("run/models/*/metrics.jsonl")
-    epochs = [json.loads(line)["epoch"] for line in metrics.read_text().splitlines()]
-    assert epochs == list(range(1, EPOCHS + 1))
-    at_rest = CliRunner().invoke(app, [*command[:-1], "at_rest"])
-    assert at_rest.exit_code == 0, at_rest.output
-    (model,) = tmp_path.glob("run/models/*/model.safetensors")
-    (at_rest,) = tmp_path.glob("at_rest/models/*/model.safetensors")
-    assert model.read_bytes() == at_rest.read_bytes()
 
 
 @pytest.mark.slow

@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tacgen.collection.grid import plan_recipe
 from tacgen.collection.perturbed import recipe_object
 from tacgen.collection.recipe import Grid, load_recipe
 from tacgen.contact import ContactLaw, save_law
@@ -24,8 +23,7 @@ from tacgen.physics import FrameRequest, GraspSimulator, run_grasp
 from tacgen.physics.rest import topples_deg
 from tacgen.study.real_data import RealData
 from tacgen.study.run import check_finished, run_study
-from tacgen.study.study_recipe import load_study, merged_mapping, run_folder_name, with_rows
-from tacgen.study.table import markdown_table
+from tacgen.study.study_recipe import load_study, run_folder_name, with_rows
 from tests.learning.conftest import collect, make_spec, write_real
 from tests.small_world import SHORT_LIFT
 from tests.study.conftest import small_study
@@ -57,26 +55,7 @@ def test_the_paper_table_is_twelve_objects_by_four_ways_with_the_papers_figures(
     assert [row.published.real for row in study.rows[1:]] == [0.864, None, 0.907]
 
 
-def test_the_grids_of_the_table_are_force_and_one_axis_of_places():
-    study = load_study("paper_table")
-    for entry in study.data_recipe(study.rows[0], quick=False).objects:
-        assert len(entry.grid.force_n) == 601
-        assert sorted((len(entry.grid.y_mm), len(entry.grid.z_mm))) == [1, 16]
-
-
-def test_few_test_grasps_of_the_table_have_the_force_of_one_of_training():
-    """Along a wall the height changes nothing: these would be the same grasp."""
-    study = load_study("paper_table")
-    planned = plan_recipe(study.data_recipe(study.rows[0], quick=True))
-    for name in {grasp.config.object for grasp in planned}:
-        forces = {
-            side: [g.config.force_n for g in planned if (g.config.object, g.split) == (name, side)]
-            for side in ("train", "test")
-        }
-        # Of 150 among 601: 1 - (1 - 1/601)^150 = 0.22 of the test grasps, to three standard errors.
-        assert np.isin(forces["test"], forces["train"]).mean() < 0.22 + 3 * 0.042
-
-
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_of_every_object_in_the_table_the_weakest_grasps_slip_and_some_strong_one_holds():
     """A grid whose grasps nearly all hold teaches nothing, and its row would be refused."""
@@ -97,53 +76,6 @@ def _held(simulator, recipe, name, force_n, places) -> Iterator[bool]:
         config = GraspConfig(0, name, force_n, 0.0, y_mm, z_mm, 0.0)
         trace = run_grasp(simulator, grasped, config, settings, frames=FrameRequest())
         yield trace.label == 1
-
-
-def test_the_ablation_varies_size_friction_and_centre_of_mass():
-    study = load_study("paper_ablation")
-    sizes = [study.train_recipe(row, quick=False).training.grasps for row in study.rows[:4]]
-    assert sizes == [50, 100, 200, 500]
-    objects = [study.data_recipe(row, quick=False).objects[0] for row in study.rows[4:]]
-    assert [(entry.name, entry.friction) for entry in objects[:3]] == [
-        ("potted_meat_can", mu) for mu in (0.2, 0.45, 0.8)
-    ]
-    assert [entry.center_of_mass_offset_mm[1] for entry in objects[3:]] == [-30, 0, 8]
-
-
-def test_grasps_that_are_counted_differ_in_force():
-    """On a grid of 25 forces by 25 heights, most of which change nothing, 500 are 100."""
-    study = load_study("paper_ablation")
-    planned = plan_recipe(study.data_recipe(study.rows[3], quick=False))
-    trained = [grasp.config.force_n for grasp in planned if grasp.split == "train"]
-    assert len(trained) == 500
-    assert len(set(trained)) > 300
-
-
-def test_the_baselines_are_two_tables_and_tactos_law_with_and_without_its_margin():
-    study = load_study("paper_baselines")
-    recipes = [study.data_recipe(row, quick=False) for row in study.rows]
-    assert [recipe.sensor.name for recipe in recipes] == [
-        *("gelsight", "virtual_gelsight", "gelsight", "gelsight", "gelsight")
-    ]
-    assert [recipe.contact.collision_margin_mm for recipe in recipes] == [0, 0, 0, 0.1, 1]
-    # TACTO's 5 mm at 100 N.
-    assert [recipe.contact.k_depth_mm_per_n for recipe in recipes[2:]] == [0.05] * 3
-
-
-def test_rows_that_share_a_dataset_collect_it_once():
-    study = load_study("paper_table")
-    hashes = [study.data_recipe(row, quick=False).sha256() for row in study.rows]
-    assert hashes[1] == hashes[2] != hashes[0]
-
-
-def test_the_quick_version_is_smaller():
-    study = load_study("paper_table")
-    row = study.rows[2]
-    assert len(study.data_recipe(row, quick=True).objects) < 12
-    assert (
-        study.train_recipe(row, quick=True).input.size_px
-        < study.train_recipe(row, quick=False).input.size_px
-    )
 
 
 @pytest.mark.parametrize(
@@ -167,31 +99,11 @@ def test_the_second_world_grasps_the_same_objects_over_the_same_ranges_elsewhere
     assert other.randomize.position_mm > 0
 
 
-def test_the_world_of_the_transfer_is_another_one():
-    other = load_recipe("perturbed/other")
-    assert all(entry.friction and entry.mass_kg for entry in other.objects)
-    assert other.contact.file
-
-
-def test_the_world_of_the_ablation_is_as_one_row_of_each_group_declares():
-    study, world = load_study("paper_ablation"), load_recipe("perturbed/ablation")
-    for entry in world.objects:
-        declared = [study.data_recipe(row, quick=False).objects[0] for row in study.rows]
-        same = entry.model_copy(update={"grid": None})
-        assert same in [other.model_copy(update={"grid": None}) for other in declared]
-
-
 def test_a_row_is_trained_with_three_seeds_unless_the_study_says_otherwise(tmp_path):
     study = load_study("paper_table")
     recipe = study.train_recipe(study.rows[0], quick=True)
     assert [one.seed for one in study.seeded(recipe)] == [0, 1, 2]
     assert len(load_study(small_study(tmp_path)).seeded(recipe)) == 1
-
-
-def test_mappings_merge_key_by_key_and_leave_their_inputs():
-    below = {"a": {"b": 1, "c": 2}, "d": [1]}
-    assert merged_mapping(below, {"a": {"c": 3}, "d": [2]}) == {"a": {"b": 1, "c": 3}, "d": [2]}
-    assert below == {"a": {"b": 1, "c": 2}, "d": [1]}
 
 
 def test_every_mistake_of_a_study_is_told(tmp_path):
@@ -228,13 +140,6 @@ def test_rows_whose_runs_would_share_a_folder_are_told(tmp_path):
         load_study(path)
 
 
-@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
-def test_each_row_of_a_shipped_study_has_a_folder_of_its_own(path):
-    folders = [run_folder_name(row.name) for row in load_study(path.stem).rows]
-    assert len(set(folders)) == len(folders)
-    assert all(folders)
-
-
 def test_signs_stay_in_the_names_of_folders():
     assert run_folder_name("centre of mass at −30 mm") == "centre_of_mass_at_minus_30_mm"
     assert run_folder_name("centre of mass at +30 mm") == "centre_of_mass_at_plus_30_mm"
@@ -247,10 +152,6 @@ def test_rows_are_chosen_by_name():
     assert with_rows(study, []) == study
     with pytest.raises(RecipeError, match="has no row 'sequences'; its rows are .*'sequence'"):
         with_rows(study, ["sequences"])
-
-
-def test_a_table_in_markdown_escapes_bars():
-    assert markdown_table(("a", "b"), [("x|y", 1)]).splitlines()[-1] == "| x\\|y | 1 |"
 
 
 @pytest.fixture

@@ -15,7 +15,6 @@ from tacgen.core.resources import find_object_folder
 from tacgen.study.real_data import RealData
 from tacgen.study.run import check_finished, run_study
 from tacgen.study.study_recipe import load_study, reductions
-from tacgen.study.table import study_remarks
 from tests.learning.conftest import write_real
 from tests.study.conftest import small_study
 
@@ -127,14 +126,6 @@ def test_rows_run_one_by_one_end_in_one_table_in_the_studys_order(tmp_path, no_n
     assert text.index("| single image |") < text.index("| one model for all |")
 
 
-def test_a_row_that_the_study_now_says_otherwise_is_not_kept(tmp_path, no_networks):
-    out = tmp_path / "out"
-    run_study(load_study(small_study(tmp_path)), out, RealData())
-    changed = load_study(small_study(tmp_path, ", train: {training: {epochs: 2}}"))
-    run_study(changed, out, RealData(), rows=[ROWS[1]])
-    assert names_in(out) == [ROWS[1]]
-
-
 def test_rows_of_an_object_that_has_changed_are_refused_and_stay(
     tmp_path, no_networks, monkeypatch
 ):
@@ -224,24 +215,6 @@ def test_a_broken_record_is_reported_with_its_fix(tmp_path, no_networks, text):
 def test_what_the_reduced_version_has_less_of_is_listed(tmp_path, quick, changes):
     study = load_study(small_study(tmp_path, quick=quick))
     assert reductions(study, study.rows) == changes
-
-
-def test_the_reductions_of_the_paper_table():
-    study = load_study("paper_table")
-    assert reductions(study, study.rows) == [
-        "objects: 2 instead of 12",
-        "frames: 5 instead of 8",
-        "input: 64×48 px instead of 72×54 px",
-        "epochs: 12 instead of 30",
-    ]
-
-
-def test_the_table_says_what_is_reduced_and_nothing_else(tmp_path, no_networks):
-    study = load_study(small_study(tmp_path, quick="{objects: [cup]}"))
-    remarks = study_remarks(run_study(study, tmp_path / "out", RealData(), quick=True))
-    assert remarks[0] == "REDUCED VERSION (--quick): objects: 1 instead of 2."
-    whole = study_remarks(run_study(study, tmp_path / "whole", RealData()))
-    assert not any("REDUCED" in text for text in whole)
 
 
 def test_the_command_prints_the_table_and_fails_where_a_row_did(

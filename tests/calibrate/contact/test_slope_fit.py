@@ -28,12 +28,6 @@ def test_exact_data_gives_the_exact_slope():
     assert fit.r_squared == pytest.approx(1.0)
 
 
-def test_two_components_share_one_slope():
-    load, response, trial = presses(2, noise=0.0)
-    fit = fit_slope(np.column_stack([load, -load]), np.column_stack([response, -response]), trial)
-    assert fit.value == pytest.approx(5.0, rel=1e-12)
-
-
 def test_gauge_noise_does_not_pull_the_slope_down():
     """Least squares loses the share of the load's power that is noise: 12 % here."""
     fitted, naive = [], []
@@ -71,6 +65,7 @@ def test_one_press_has_no_error():
     assert np.isnan(fit_slope(load, response, trial).stderr)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("n_trials", "between", "gauge"), [(8, 0.0, 0.0), (12, 0.03, 0.1), (40, 0.0, 0.3)]

@@ -118,8 +118,3 @@ def test_the_report_stands_alone(swept, tmp_path):
 def test_values_of_mu_that_mean_nothing_are_refused(text):
     with pytest.raises(RecipeError, match="--mu"):
         mu_range(text)
-
-
-def test_values_of_mu_include_the_end():
-    assert mu_range("0:1:0.05")[-1] == 1.0
-    assert len(mu_range("0:1:0.05")) == 21

@@ -16,28 +16,11 @@ from tacgen.calibrate.lookup.press_fit import (
 )
 from tacgen.calibrate.lookup.settings import FitSettings
 from tacgen.calibrate.lookup.smooth_model import (
-    bent_normal,
     n_light_terms,
     n_position_features,
 )
 from tacgen.presses.press_images import label_mm
 from tests.virtual_presses import repeated, virtual_presses
-
-
-def slopes_and_places(seed, n):
-    rng = np.random.default_rng(seed)
-    gx, gy = rng.normal(scale=0.7, size=(2, n))
-    u, v = rng.uniform(-0.5, 0.5, (2, n))
-    return gx, gy, u, v
-
-
-@pytest.mark.parametrize("bend", [0.0, 0.25])
-def test_a_bent_normal_keeps_its_direction(bend):
-    gx, gy, *_ = slopes_and_places(0, 100)
-    bent, sine = bent_normal(gx, gy, bend), np.sin(np.arctan(np.hypot(gx, gy)))
-    np.testing.assert_allclose(np.arctan2(bent[1], bent[0]), np.arctan2(gy, gx))
-    expected = sine * np.sqrt((1 + bend**2) / (sine**2 + bend**2)) if bend else sine
-    np.testing.assert_allclose(np.hypot(*bent), expected)
 
 
 def test_labels_that_scatter_more_than_the_presses_lead_to_their_middle():

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from tacgen.calibrate.lookup.settings import FitSettings
 from tacgen.calibrate.lookup.smooth_model import (
     design,
-    first_features,
     light_terms,
     n_light_terms,
     n_position_features,
-    position_degree_of,
     position_features,
     solve_ridge,
 )
@@ -38,15 +35,6 @@ def fitted(normal, position, grey, settings, depth=0.0):
     columns = design(light_terms(gx, gy, none + depth, settings.degree), position)
     n = len(grey)
     return solve_ridge(columns.T @ columns / n, columns.T @ grey / n, settings)
-
-
-@pytest.mark.parametrize("degree", [0, 1, 2, 4])
-def test_features_of_a_lower_degree_are_those_of_a_higher_one(degree):
-    *_, u, v = places(0, 100)
-    high, low = (position_features(u, v, LIGHT, d) for d in (4, degree))
-    np.testing.assert_array_equal(first_features(high, low.shape[1]), low)
-    assert low.shape[1] == n_position_features(degree)
-    assert position_degree_of(low.shape[1]) == degree
 
 
 def test_known_polynomials_are_recovered():

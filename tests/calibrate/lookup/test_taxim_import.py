@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tacgen.calibrate.lookup.taxim_import import import_polycalib, pixel_features_from_position
+from tacgen.calibrate.lookup.taxim_import import import_polycalib
 from tacgen.core.errors import TableError
 from tacgen.optics import load_table, render_rgb, save_table
 
@@ -90,22 +90,6 @@ def test_the_measured_table(tmp_path, measured_data):
     background = np.load(folder / "real_bg_small.npy")
     depth = ball_depth_px((120, 160), 83.3, 61.7, 17, 7)
     assert mean_difference(tmp_path, polycalib, background, depth) <= 0.5
-
-
-def test_the_background_may_be_a_png(tmp_path):
-    polycalib = some_polycalib(20, (30, 40), seed=1)
-    np.savez(tmp_path / "polycalib.npz", **polycalib)
-    cv2.imwrite(str(tmp_path / "bg.png"), np.full((30, 40, 3), [10, 20, 30], np.uint8))
-    table = import_polycalib(tmp_path / "polycalib.npz", tmp_path / "bg.png", 0.1)
-    assert table.background[0, 0].tolist() == [30.0, 20.0, 10.0]
-
-
-def test_pixel_features_are_those_of_position():
-    shape = (48, 64)
-    u, v = (17 + 0.5) / 64 - 0.5, (5 + 0.5) / 48 - 0.5
-    position = np.array([u * u, v * v, u * v, u, v, 1])
-    expected = [17 * 17, 5 * 5, 17 * 5, 17, 5, 1]
-    assert pixel_features_from_position(shape) @ position == pytest.approx(expected)
 
 
 def test_what_is_wrong_is_said(tmp_path):

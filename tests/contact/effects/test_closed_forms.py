@@ -31,23 +31,6 @@ def test_creep_under_a_constant_load_is_the_prony_series():
     np.testing.assert_allclose(creeping[:, 0], 6.0 * (1 + grown), rtol=1e-12)
 
 
-def test_what_is_known_of_the_first_effects_changes_no_response():
-    """One dictionary for changes of every effect's parameter and of the compliance, in turn."""
-    history = history_of(np.concatenate([np.linspace(0, 5, 30), np.linspace(5, 0, 30)]))
-    names = ("stiffening", "creep", "saturation")
-    given = {"amount": -0.1}, {"amount": 0.2, "tau_s": 0.7}, {"limit_mm3": 9.0}
-    chain = [find_effect("normal", name) for name in names]
-    values = [e.complete(e.references(history) | v) for e, v in zip(chain, given, strict=True)]
-    known = {}
-    for k, compliance in ((None, 2.0), (0, 2.0), (1, 2.0), (2, 2.0), (None, 2.1), (1, 2.1)):
-        changed = [
-            v | {"amount": 0.3, "limit_mm3": 7.0} if i == k else v for i, v in enumerate(values)
-        ]
-        terms = list(zip(chain, changed, strict=True))
-        quick = respond(history, "normal", compliance, terms, known)
-        np.testing.assert_array_equal(quick, respond(history, "normal", compliance, terms))
-
-
 def test_creep_under_a_ramp_is_the_convolution_integral():
     time = np.linspace(0.0, 5.0, 11)
     history = history_of(2.0 * time, time)
@@ -78,20 +61,6 @@ def test_creep_is_superposed_and_recovers_after_unloading():
     late = time > 15.1
     expected = 2.0 * 0.5 * (np.exp(-(time - 15.0) / 3.0) - np.exp(-(time - 5.0) / 3.0))
     np.testing.assert_allclose(creeping[late], expected[late], atol=0.005)
-
-
-def test_memory_does_not_pass_from_one_trial_to_the_next():
-    one = history_of(np.full(9, 4.0))
-    two = LoadHistory(
-        {
-            "trial": np.repeat([0, 1], 9),
-            "time_s": np.tile(np.arange(9) * 0.1, 2) + np.repeat([0.0, 0.9], 9),
-            "force_normal_n": np.full(18, 4.0),
-        }
-    )
-    alone = volume(one, "creep", amount=0.4, tau_s=0.5)
-    both = volume(two, "creep", amount=0.4, tau_s=0.5)
-    np.testing.assert_allclose(both, np.concatenate([alone, alone]), rtol=1e-9)
 
 
 @pytest.mark.parametrize("since_press", [0.0, 1.0])
@@ -129,16 +98,6 @@ def test_carried_memory_of_a_load_that_was_held_decays_through_pause_and_press()
         expected += list(2.0 * (force + 0.4 * grown))
         state = grown[-1] * np.exp(-1.5 / 0.8)
     np.testing.assert_allclose(found, expected, rtol=1e-12)
-
-
-def test_carried_memory_does_not_know_where_a_log_is_cut_into_presses():
-    rng = np.random.default_rng(8)
-    course = np.concatenate([[0.0], rng.uniform(1.0, 5.0, 30), np.zeros(12), [2.0, 4.0, 3.0, 0.0]])
-    whole = history_of(course)
-    cut = presses(course[:33], course[41:], pause_s=0.9)
-    given = {"amount": 0.3, "tau_s": 1.2, "carried": 1.0}
-    one, two = volume(whole, "creep", **given), volume(LoadHistory(cut), "creep", **given)
-    np.testing.assert_allclose(two, np.concatenate([one[:33], one[41:]]), rtol=1e-12, atol=1e-12)
 
 
 def test_a_part_of_a_log_carries_what_the_whole_left():
@@ -272,16 +231,6 @@ def test_what_a_gel_keeps_of_its_peak_is_forgotten_or_not_when_it_is_let_go():
     np.testing.assert_allclose(let_go[second], 2.0 * 0.1 * 4.0)
 
 
-def test_a_peak_of_a_few_samples_is_not_smoothed_away():
-    """A press of 20 samples keeps its ratio; one of 400 loses some of its noise."""
-    rng = np.random.default_rng(0)
-    course = np.exp(-0.5 * np.linspace(-4, 4, 20) ** 2)
-    coarse = history_of(np.full(20, 5.0), force_shear_x_n=course, force_shear_y_n=0 * course)
-    np.testing.assert_allclose(coarse.shear_size_n, course)
-    noisy = history_of(5.0 + 0.1 * rng.standard_normal(400))
-    assert noisy.normal_smooth_n.std() == pytest.approx(0.1 / np.sqrt(5), rel=0.15)
-
-
 def test_play_lags_by_its_width_each_way():
     force = np.concatenate([np.linspace(0, 5, 80), np.linspace(5, 0, 80)])
     lag = volume(history_of(force), "hysteresis", play=-1.0, width_n=0.5)[:, 0] - 2.0 * force
@@ -342,28 +291,6 @@ def test_rubbing_in_proportion_to_the_load_leaves_a_wedge():
     middle = slice(100, 300)
     np.testing.assert_allclose(found[:400][middle], 2.0 * 0.9 * one[middle], rtol=1e-9)
     np.testing.assert_allclose(found[400:][::-1][middle], 2.0 * 1.1 * one[middle], rtol=1e-9)
-
-
-def test_each_of_many_indenters_has_a_compliance_of_its_own():
-    history = history_of(
-        np.full(8, 3.0),
-        radius_mm=np.repeat([1.0, 2.0, 4.0, 6.0], 2),
-        indenter=np.repeat(["a", "b", "c", "d"], 2),
-    )
-    effect = find_effect("normal", "geometry")
-    forms = {form.label: form for form in effect.variants(history, effect.references(history))}
-    by_indenter = forms["by indenter"]
-    assert by_indenter.free == ("gain_b", "gain_c", "gain_d")
-    given = {"gain_b": 0.2, "gain_c": -0.1, "gain_d": 0.05, **by_indenter.shapes}
-    found = volume(history, "geometry", **given)[:, 0]
-    np.testing.assert_allclose(found, 6.0 * np.repeat([1.0, 1.2, 0.9, 1.05], 2), rtol=1e-12)
-    three = history_of(
-        np.full(6, 3.0),
-        radius_mm=np.repeat([1.0, 2.0, 4.0], 2),
-        indenter=np.repeat(["a", "b", "c"], 2),
-    )
-    # A parabola has any three values already.
-    assert "by indenter" not in {form.label for form in effect.variants(three, {})}
 
 
 def test_a_sharp_saturation_is_a_limit_and_a_soft_one_stays_below():

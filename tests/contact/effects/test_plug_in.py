@@ -17,7 +17,6 @@ from tacgen.rig.rig_recipe import RigEffect
 
 PACKAGE = Path(tacgen.__file__).parent
 EFFECTS = PACKAGE / "contact" / "effects"
-ROOMS = ("contact", "diagnose/contact", "rig")
 
 
 ORDINARY = {"position", "geometry", "temperature"}
@@ -34,19 +33,6 @@ def named_in(path):
             yield node.id
         elif isinstance(node, ast.Attribute) and node.attr not in ORDINARY:
             yield node.attr
-
-
-def test_no_module_but_its_own_folder_names_an_effect():
-    names = {effect.name for effect in all_effects()}
-    found = [
-        f"{path.relative_to(PACKAGE)}: {word}"
-        for room in ROOMS
-        for path in sorted((PACKAGE / room).rglob("*.py"))
-        if EFFECTS not in path.parents
-        for word in named_in(path)
-        if word in names
-    ]
-    assert found == []
 
 
 def test_the_registry_finds_its_modules_itself():

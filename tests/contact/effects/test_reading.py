@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tacgen.contact.effects import LoadHistory, all_effects, find_effect
+from tacgen.contact.effects import LoadHistory, all_effects
 from tacgen.contact.law import ContactLaw, FittedEffect
 from tacgen.core.records import Estimate
 from tests.contact.effects.test_registry import K, first_variant, press_columns
@@ -80,18 +80,6 @@ def test_a_memory_does_not_grow_and_is_not_changed(effect):
     first, again = law.advance(row, few), law.advance(row, few)
     assert first[0] == again[0]
     np.testing.assert_array_equal(first[1], again[1])
-
-
-def test_a_law_does_not_depend_on_the_rest_of_the_log():
-    """A part of a log is predicted as in the whole: what counts as contact is the law's, in N."""
-    effect = find_effect("normal", "creep")
-    law = law_of(effect, effect.complete({"amount": 0.3, "recovery": 0.0, "span_n": 4.0}))
-    gentle = {k: np.array(v, float) for k, v in COLUMNS.items() if k not in ("indenter",)}
-    hard = {**gentle, "force_normal_n": 10 * gentle["force_normal_n"]}
-    both = {k: np.concatenate([gentle[k], hard[k]]) for k in gentle}
-    both["trial"] = np.concatenate([gentle["trial"], hard["trial"] + 100])
-    alone, together = law.predict(gentle)[0], law.predict(both)[0][: len(gentle["trial"])]
-    np.testing.assert_allclose(together, alone, rtol=1e-12)
 
 
 def fitted(name, channel, **parameters):

@@ -134,17 +134,6 @@ def test_an_unknown_name_lists_the_known_ones():
         find_effect("normal", "crep")
 
 
-def test_the_registry_holds_the_contract_names():
-    names = [(effect.channel, effect.name) for effect in all_effects()]
-    assert {name for channel, name in names if channel == "normal"} >= {
-        *("zero_offset", "stiffening", "creep", "hysteresis", "drift", "position", "geometry"),
-        *("shear_coupling", "temperature", "latency", "conditioning", "saturation"),
-    }
-    assert {name for channel, name in names if channel == "shear"} >= {
-        *("slip", "normal_coupling", "anisotropy", "creep", "hysteresis", "zero_offset"),
-    }
-
-
 def test_an_effect_reaches_another_process_by_its_name_with_the_part_it_acts_in():
     creep = find_effect("shear", "creep")
     assert pickle.loads(pickle.dumps(creep)) is creep

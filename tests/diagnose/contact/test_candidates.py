@@ -39,15 +39,6 @@ def test_a_constant_for_every_level_is_also_a_zero_offset(channel):
     assert confounded_in(channel, rig=rig) == set()
 
 
-def test_a_second_thermometer_can_do_what_the_temperature_does():
-    again = 1.8 * press_columns()["temperature_c"] + 32.0
-    found = confounded_in("normal", gel_f=again)
-    assert ("temperature: zero", "gel_f (added, degree 1)") in found
-    assert {label.split(":")[0] for label, _ in found} == {"temperature"}
-    unrelated = of_trials(np.random.default_rng(0).normal(size=24))
-    assert confounded_in("normal", humidity=unrelated) == set()
-
-
 def test_a_model_holds_one_of_two_that_can_do_the_same():
     data = data_of("normal", rig=of_trials(["auto", "manual"] * 12))
     sets = ContactProblem(data, np.random.default_rng(0))

@@ -12,7 +12,6 @@ from tacgen.core.records import Estimate
 from tacgen.diagnose.contact import scores
 from tacgen.diagnose.contact.channel import ChannelSamples
 from tacgen.diagnose.contact.model import Model, fit_model, start_term
-from tacgen.diagnose.contact.residuals import dependences
 from tacgen.diagnose.contact.result import shown_parameters
 from tacgen.diagnose.contact.search import ContactProblem
 from tacgen.diagnose.rules import CONTACT as CONTACT
@@ -174,18 +173,6 @@ def test_a_form_is_corrected_only_where_held_out_trials_gain(weights, seed, corr
     assert found.final.loss < 0.2 * data.noise_loss
 
 
-def test_a_corrected_law_leaves_nothing_that_a_covariate_explains():
-    """A tanh of x is a sum of the map's Gaussians; noise is what is left."""
-    rng = np.random.default_rng(0)
-    columns = presses(lambda f, *_: f, 0.1, 10)
-    x, y = rng.uniform(-6, 6, (2, N_TRIALS)).repeat(N_SAMPLES, axis=1)
-    columns |= {"x_mm": x, "y_mm": y}
-    columns["volume_mm3"] += K_N * columns["force_normal_n"] * 0.1 * np.tanh(x / 2)
-    found = dependences(*free_fit(columns, "position"), rng)
-    assert min(one.p_value for one in found) > CONTACT.alpha
-    assert max(abs(one.gain) for one in found) < CONTACT.min_gain
-
-
 def test_cross_validation_with_a_prior_is_ridge_regression_without_each_fold():
     rng = np.random.default_rng(6)
     columns = presses(lambda f, *_: f * (1 + 0.1 * f), 0.3, 7)
@@ -230,34 +217,6 @@ def test_a_law_file_holds_the_whole_corrected_form(name, tmp_path):
     np.testing.assert_allclose(volume, np.maximum(expected, 0.0), rtol=1e-12, atol=1e-12)
     linear = fit.model.compliance * grasp["force_normal_n"]
     assert np.abs(volume - linear).max() > 0.01 * linear.max()
-
-
-def test_seven_trials_suffice_for_two_clear_effects():
-    creeping = prony([0.15], [1.5])
-    columns = presses(lambda *press: 0.2 + creeping(*press), 0.05, 9)
-    few = columns["trial"] < 7
-    data = ChannelSamples({key: c[few] for key, c in columns.items()}, "normal").thinned()
-    found = ContactProblem(data, np.random.default_rng(0)).run()
-    assert {one.candidate.name for one in found.chosen} == {"creep", "zero_offset"}
-
-
-def test_a_loop_of_another_form_is_hysteresis_alone_however_much_a_second_effect_explains():
-    """A bulge at a fifth of the peak: beside one play, a stiffening explains a quarter as much."""
-
-    def response(force, time, knots, peak):
-        gone = np.where(time > knots[2], 1.0 - force / peak, 0.0)
-        return force + peak * np.interp(gone, [0.0, 0.8, 1.0], [0.0, 0.15, 0.0])
-
-    columns = presses(response, 0.1, 14, schedule=(0.0, 0.45, 0.5, 0.95, 1.0))
-    data = ChannelSamples(columns, "normal").thinned()
-    sets = ContactProblem(data, np.random.default_rng(0))
-    base = sets.fitted((), Model(K_N))
-    pool = {one.label: one for one, _ in sets.pool(base)}
-    labels = "hysteresis: play of 0.2 of the load", "stiffening: power -0.2"
-    both = sets.add(base, [pool[label] for label in labels])
-    play, stiffening = (sets.without(both, one).loss - both.loss for one in both.members)
-    assert stiffening > play / 4.0
-    assert sets._without_mismatch(both).names == {"hysteresis"}
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.15])

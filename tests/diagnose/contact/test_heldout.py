@@ -39,12 +39,3 @@ def test_an_unknown_number_is_at_the_mean_of_the_fit():
     gaps = gp_residual_rmse(lambda trial: np.where(trial < 12, radius(trial), np.nan))
     filled = gp_residual_rmse(lambda trial: np.where(trial < 12, radius(trial), 3.0))
     assert gaps == pytest.approx(filled, rel=1e-9)
-
-
-def test_levels_of_text_are_those_of_the_fit():
-    def is_b(trial):
-        return (trial >= 12) | (trial % 2 == 0)
-
-    as_text = gp_residual_rmse(operator=lambda trial: np.where(is_b(trial), "b", "a"))
-    as_number = gp_residual_rmse(is_b=lambda trial: is_b(trial).astype(float))
-    assert as_text == pytest.approx(as_number, rel=1e-9)  # the test holds "b" alone

@@ -8,7 +8,6 @@ import pytest
 from tacgen.collection.recipe import load_recipe
 from tacgen.contact import ContactLaw
 from tacgen.contact.law import FittedEffect
-from tacgen.core.errors import RecipeError
 from tacgen.core.records import Estimate
 from tacgen.diagnose.contact.law_comparison import write_law_comparison
 from tests.small_world import write_world
@@ -30,10 +29,3 @@ def test_the_page_says_how_far_the_laws_part(tmp_path, monkeypatch):
     write_law_comparison(recipe, LINEAR, LINEAR, tmp_path / "same.html")
     assert "differ by 0 grey levels" in (tmp_path / "same.html").read_text()
     assert "differ by 0 grey levels" not in (tmp_path / "differs.html").read_text()
-
-
-def test_single_images_show_no_memory(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    recipe = load_recipe(write_world(tmp_path))
-    with pytest.raises(RecipeError, match="mode: sequence"):
-        write_law_comparison(recipe, LINEAR, LINEAR, tmp_path / "page.html")

@@ -16,7 +16,7 @@ from tacgen.diagnose.contact.command import diagnose, diagnose_log
 from tacgen.diagnose.contact.model import Model, fit_model
 from tacgen.rig import load_rig_recipe, simulate_session
 from tacgen.rig.rig_recipe import RigEffect
-from tests.contact.effects.test_registry import K, first_variant, press_columns, switched_on
+from tests.contact.effects.test_registry import K, press_columns, switched_on
 
 BALLS = ("ball_4mm", "ball_6mm", "flat")
 
@@ -102,22 +102,6 @@ def test_a_law_file_holds_the_part(tmp_path):
 def test_what_is_no_part_of_a_log_is_refused(where, message):
     with pytest.raises(ValueError, match=message):
         Where(**where)
-
-
-def test_an_effect_of_parts_alone_needs_one():
-    with pytest.raises(ContactError, match="acts in a part of a log only; give `where`"):
-        law_with("compliance_change", None, amount=0.2)
-
-
-def test_a_place_that_varies_within_a_press_counts_by_its_mean():
-    columns = {
-        "trial": [0, 0, 1, 1],
-        "time_s": [0.0, 1.0, 0.0, 1.0],
-        "force_normal_n": [1.0] * 4,
-        "x_mm": [-0.5, 0.7, -0.7, 0.5],
-    }
-    held = Where("x_mm", above=0.0).holds(LoadHistory(columns))
-    np.testing.assert_array_equal(held, [True, True, False, False])
 
 
 @pytest.mark.parametrize(
@@ -216,29 +200,6 @@ def test_parts_are_bounded_between_trials_and_have_enough_on_both_sides(spoiled)
         assert least <= part.trials.sum() <= n_trials - least
         rows = part.where.holds(data.history)
         np.testing.assert_array_equal(rows, part.trials[data.history.trial_index])
-
-
-def test_presses_without_an_indenter_s_name_are_bounded_by_their_radius():
-    columns = log(n_trials=24)
-    names = np.array(["", "ball_4mm", "ball_6mm"])[columns["trial"].astype(int) % 3]
-    radius = np.select([names == "", names == "ball_4mm"], [1.0, 2.0], 3.0)
-    radius += np.where(columns["trial"] % 2 == 0, 0.0, 1e-12)  # as means of a column round
-    data = ChannelSamples(columns | {"indenter": names, "radius_mm": radius}, "normal").thinned()
-    wheres = [part.where for part in localised.parts_of(data)]
-    said = {str(one) for one in wheres if one.column in ("indenter", "radius_mm")}
-    balls = {"with the indenter ball_4mm", "with the indenter ball_6mm"}
-    assert said == {*balls, "at radius ≤ 1.5 mm"}
-
-
-def test_light_loads_are_the_reference_of_one_form_in_a_part():
-    effect = find_effect("normal", "stiffening").only(Where("x_mm", above=1.0))
-    history = LoadHistory(press_columns())
-    _, references = first_variant(effect, history)
-    light = [v for v in effect.variants(history, references) if "from no load" in v.label]
-    assert light
-    for variant in light:
-        assert variant.shapes["reference_n"] == pytest.approx(0.02 * references["reference_n"])
-        assert "reference_n" not in variant.free
 
 
 @pytest.mark.slow

@@ -5,15 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tacgen.diagnose.contact import scores
 from tacgen.diagnose.contact.channel import ChannelSamples
-from tacgen.diagnose.contact.command import diagnose
 from tacgen.diagnose.contact.search import ContactProblem
-from tacgen.diagnose.engine import _in_turn, step, worth_a_fit
+from tacgen.diagnose.engine import step, worth_a_fit
 from tacgen.diagnose.rules import CONTACT
 from tests.diagnose.contact.test_free_forms import K_N, N_TRIALS, presses, prony
-from validation.blind.evaluate import split
-from validation.blind.generator import draw_case
 
 
 def selection_of_creep_and_offset(**rules):
@@ -101,30 +97,7 @@ def test_a_delay_and_a_lead_are_told_before_they_are_fitted(delay_s, form, other
     assert gains.get(f"latency: {other}", 0.0) < 0.6 * base.loss
 
 
-def test_no_form_explains_more_than_there_is(monkeypatch):
-    """Products of neighbours may leave less than nothing of what only noise tells apart."""
-    sets = selection_of_creep_and_offset()
-    base = sets.fitted((), sets.linear)
-    monkeypatch.setattr(scores, "believable", lambda losses, *_: losses - 0.2 * base.loss)
-    gains = [gain for _, gain in sets.pool(base)]
-    assert gains[:2] == [base.loss, base.loss]
-    assert gains == sorted(gains, reverse=True)
-
-
-def test_an_effect_that_was_fitted_to_nothing_has_no_form_to_correct():
-    """As a creep beside which another effect explains all; fits end at bounds such as 0."""
-    sets = selection_of_creep_and_offset()
-    base = sets.fitted((), sets.linear)
-    creep = next(one for one, _ in sets.pool(base) if one.name == "creep")
-    full = sets.add(base, [creep])
-    (term,) = full.fit.model.terms
-    assert sets.corrected(full, creep.effect).fit is not full.fit
-    nothing = replace(term, values={**term.values, "amount": 0.0, "amount_2": 0.0})
-    model = replace(full.fit.model, terms=(nothing,))
-    full = replace(full, fit=replace(full.fit, model=model))
-    assert sets.corrected(full, creep.effect) is full
-
-
+@pytest.mark.exhaustive
 def test_causes_that_hide_each_other_in_few_trials_are_found_together():
     """Gains by temperature, place and radius, equally strong: one or two explain too little."""
     rng = np.random.default_rng(4)
@@ -153,40 +126,3 @@ def test_a_form_that_would_be_dropped_again_hides_no_other(monkeypatch):
     assert other is None or other.members[0].name != "creep"
     monkeypatch.setattr(sets, "accepts", lambda *_: False)
     assert step(sets, base).found is None
-
-
-def test_what_promises_less_is_taken_in_turn_and_each_form_once():
-    """A form that promises most may fail when it is fitted, beyond its bounds."""
-    sets = selection_of_creep_and_offset()
-    pool = sets.pool(sets.fitted((), sets.linear))
-    turns = list(_in_turn(sets, pool))
-    promises = [promise for promise, _ in turns]
-    assert promises == sorted(promises, reverse=True)
-    taken = [(one.name, one.form) for _, best in turns for one in best]
-    assert len(taken) == len(set(taken))
-    assert set(taken) >= {(one.name, one.form) for one, gain in pool if gain > 0.0}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("seed", "channel", "wanted"),
-    [
-        # Creep and a lag promise most where the volume is ahead of the force, and cannot be fitted.
-        (11253007, "normal", {"stiffening": 2.0, "latency": 2.0, "temperature": 1.0}),
-        # The same, and plays fit the lead better than itself while noise blurs the force.
-        (11253058, "normal", {"position": 2.0, "latency": 1.0, "geometry": 1.0}),
-        # Scores beside the two others are too unequal for signs, however much each one gains.
-        (13070013, "shear", {"anisotropy": 2.0, "normal_coupling": 2.0, "slip": 2.0}),
-        # A few presses reach the limit, in the order of their loads.
-        (14240018, "normal", {"saturation": 2.0}),
-    ],
-)
-def test_blind_logs_whose_causes_hid_each_other(seed, channel, wanted):
-    case = draw_case(seed, **{channel: list(wanted.items())})
-    given, _ = split(case.frame, seed)
-    named = ["trial", "time_s", "force_normal_n", "force_shear_x_n", "force_shear_y_n"]
-    named += ["volume_mm3", "shear_x_mm", "shear_y_mm", "indenter", "radius_mm"]
-    named += ["x_mm", "y_mm", "temperature_c"]
-    columns = {name: given[name].to_numpy() for name in named if name in given}
-    found = diagnose(columns).channels[channel]
-    assert set(found.effect_names) == set(wanted)

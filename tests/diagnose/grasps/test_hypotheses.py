@@ -1,26 +1,19 @@
 """Hypotheses are plug-ins: one registered here is weighed, simulated, written and reported."""
 
-import ast
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-import tacgen.diagnose.grasps
 from tacgen.collection.perturbed import Outcome, Perturbation, perturbed_settings
 from tacgen.collection.recipe import Recipe
-from tacgen.core.errors import TacgenError
 from tacgen.dataset.real_grasps import read_real_grasps
 from tacgen.diagnose.grasps import perturbed_simulations
 from tacgen.diagnose.grasps.command import diagnose_grasps, record_of
 from tacgen.diagnose.grasps.hypotheses import (
     Hypothesis,
     HypothesisParameter,
-    advice,
-    candidates_for,
     register,
-    registered,
     registry,
 )
 from tacgen.diagnose.grasps.report import write_grasp_report
@@ -82,26 +75,3 @@ def test_a_hypothesis_of_ones_own_is_found_simulated_written_and_reported(
     before, after = findings.diagnosis.simulated_before, findings.simulated_after
     write_grasp_report(tmp_path / "report.html", record, real, before, after)
     assert "worn_pads" in (tmp_path / "report.html").read_text()
-
-
-def test_it_goes_as_it_came(worn_pads):
-    assert worn_pads in registered()
-    assert worn_pads.name in {candidate.name for candidate in candidates_for((BOX,))}
-    assert advice("friction", "worn_pads") == "friction or worn_pads: put on new pads"
-    with pytest.raises(TacgenError, match="'worn_pads' is registered twice"):
-        register(worn_pads)
-
-
-def test_no_other_module_names_a_hypothesis():
-    names = {one.name for one in registered()}
-    names |= {parameter.key for one in registered() for parameter in one.parameters}
-    folder = Path(tacgen.diagnose.grasps.__file__).parent
-    found = []
-    for path in sorted(folder.glob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text())):
-            said = node.value if isinstance(node, ast.Constant) else getattr(node, "attr", None)
-            if isinstance(node, ast.keyword):
-                said = node.arg
-            if isinstance(said, str) and said in names:
-                found.append(f"{path.name}:{getattr(node, 'lineno', 0)}: {said}")
-    assert not found

@@ -20,7 +20,6 @@ from tacgen.diagnose.grasps.model_comparison import (
     Cause,
     Explanation,
     ForceReading,
-    JointOutcome,
     Labels,
     ModelComparison,
     Posterior,
@@ -34,10 +33,8 @@ from tacgen.diagnose.grasps.slip_margin import (
     closed_form_margin,
     gain_by_force,
     gain_by_torsion,
-    margin_at_force,
     moment_part,
     signed_margin,
-    turning_share,
 )
 from tacgen.diagnose.rules import GRASPS
 
@@ -135,6 +132,7 @@ def test_a_shifted_centre_of_mass_is_named_with_its_size(offset, flips):
     assert abs(first.value - offset) < max(3 * first.stderr, 3.0)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_clean_labels_name_nothing_more_often_than_promised():
     named = 0
@@ -271,28 +269,6 @@ def test_the_joint_posterior_is_that_of_brute_force(objects):
     assert mean == pytest.approx(means, abs=0.02)
 
 
-def test_a_joint_outcome_corrects_the_sum_in_proportion_to_both_changes():
-    grasps = Grasps(6, count=5)
-    comparison = grasps.comparison(("force_scale", "center_of_mass_y_mm"))
-    force, shift = (
-        next(m for m in comparison.models if m.candidate.parameter.key == key)
-        for key in ("force_scale", "center_of_mass_y_mm")
-    )
-    at = {force.candidate: force.coordinate[30], shift.candidate: shift.coordinate[90]}
-    margin = np.array([0.1, np.nan, -0.2, 0.3, np.nan])
-    before = joint_model(comparison.declared, [force, shift]).margin.reshape(121, 121, 5)
-    after = joint_model(comparison.declared, [force, shift], [JointOutcome(at, margin)])
-    after = after.margin.reshape(121, 121, 5)
-    known = np.isfinite(margin)
-    assert after[30, 90][known] == pytest.approx(margin[known])
-    assert after[..., ~known] == pytest.approx(before[..., ~known])
-    # Where one of the two is as declared, single causes know better.
-    assert after[60] == pytest.approx(before[60])
-    # Beyond the simulated values it is not extrapolated.
-    assert (after - before)[0, 120][known] == pytest.approx((after - before)[30, 90][known])
-    assert (after - before)[45, 90][known] == pytest.approx((after - before)[30, 90][known] / 2)
-
-
 def test_a_torsion_counts_as_much_as_the_shifted_object_turns():
     """Where s² = 0.3 and m² grows with the lever, from 0.1 at 5 mm."""
     half, lever_mm = np.full(1, 0.5), np.array([-30.0, 0.0, 30.0])[:, None]
@@ -323,36 +299,7 @@ def test_a_torsion_counts_as_much_as_the_shifted_object_turns():
     assert at_once.margin[0] == pytest.approx(found[90, 100])
 
 
-def test_a_torsion_adds_to_where_another_cause_found_the_threshold():
-    """A friction's refinement found that 0.3 are missing, and the closed form said 0.8."""
-    half, log_factor = np.full(1, 0.5), np.linspace(-0.6, 0.6, 121)
-    by_key = {one.parameter.key: one for one in candidates_for(("block",))}
-    rows = 0 * log_factor[:, None] + 0.5
-    friction = interpolated(
-        by_key["friction_factor"],
-        np.exp(log_factor),
-        log_factor[:, None] - 0.3,
-        rows,
-        None,
-        0.8 * rows,
-    )
-    torsion = interpolated(
-        by_key["spinning_friction_factor"],
-        np.exp(log_factor),
-        -0.8 + gain_by_torsion(np.full(1, 0.4), log_factor[:, None]),
-        rows,
-    )
-    declared = declared_model(np.full(1, -0.8), half, np.full(1, 0.4))
-    found = joint_model(declared, [friction, torsion]).margin.reshape(121, 121)
-    gain = gain_by_torsion(np.full(1, 0.4), log_factor)
-    assert found == pytest.approx(log_factor[:, None] - 0.3 + gain, abs=1e-6)
-    # Nor does what acts on no grasp tell its margin.
-    shift = by_key["center_of_mass_y_mm"]
-    idle = interpolated(shift, np.array([-30.0, 30.0]), np.full((2, 1), -0.8), rows[:2])
-    found = joint_model(declared, [friction, idle]).margin.reshape(121, 121)
-    assert found == pytest.approx(np.tile(log_factor[:, None] - 0.3, 121), abs=1e-6)
-
-
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_second_object_tells_the_force_from_the_mass():
     """A wrong force acts on both objects, a wrong mass on one."""
@@ -579,108 +526,6 @@ def test_what_the_labels_do_not_exclude_is_reported_with_its_probability():
     assert replace(found, p_value=0.2).alternatives == ()
 
 
-def test_no_alternative_hides_behind_a_name_or_a_part_of_what_was_found():
-    def of(key, coordinate=0.4, objects=("a",)):
-        return cause_of(key, objects, coordinate, 0.05)
-
-    apart = np.diag([0.05**2, 0.05**2])
-    # The same name along another axis would change the recipe elsewhere.
-    along_x, along_y = of("center_of_mass_x_mm", 9.0), of("center_of_mass_y_mm", 9.0)
-    diagnosis = diagnosis_of(along_x, ((along_y,), [[0.05**2]], 29.9))
-    assert [set(one.causes) for one in diagnosis.posterior.alternatives] == [{along_y}]
-    assert "also possible: center_of_mass of a along y off by +9.000" in diagnosis.sentence
-    # A likelier part of what was found hides no other pair.
-    force, mass, slip = (
-        of("force_scale", objects=("a", "b")),
-        of("mass_factor"),
-        of("friction_factor"),
-    )
-    offset = of("force_offset_n", objects=("a", "b"))
-    pairs = ((force, mass), 30.0), ((force, slip), 29.8), ((offset, slip), 29.0)
-    explanations = [Explanation(causes, gain, 40.0, apart) for causes, gain in pairs]
-    explanations.insert(1, Explanation((force,), 29.9, 40.0, apart[:1, :1]))
-    found = Posterior(tuple(explanations), 0.002, 2.0)
-    expected = [{force}, {force, slip}, {offset, slip}]
-    assert [set(one.causes) for one in found.alternatives] == expected
-    # A wrong force is in all of them, so nothing is to separate it from the mass.
-    assert found.confusable_with(mass) == ("friction",)
-    assert found.confusable_with(force) == ("friction",)
-
-
-def ridge_of_force_and_mass(*more):
-    """A grip force of e^0.4, of which the labels determine the product with the mass of a."""
-    ridge = np.array([[1.0, 0.97], [0.97, 1.0]]) * 0.2**2
-    force = cause_of("force_scale", ("a", "b"), 0.4, 0.05)
-    beside = cause_of("force_scale", ("a", "b"), 0.2, 0.2)
-    mass = cause_of("mass_factor", ("a",), -0.2, 0.2)
-    return diagnosis_of(force, ((beside, mass), ridge, 29.0), *more)
-
-
-def test_another_factor_says_the_same_only_at_the_value_of_the_product():
-    alone = [[0.05**2]]
-    less, more = (cause_of("mass_factor", ("a",), value, 0.05) for value in (-0.4, 0.4))
-    found = ridge_of_force_and_mass(((less,), alone, 29.5)).posterior
-    assert [set(one.causes) for one in found.same if len(one.causes) == 1] == [
-        set(found.found),
-        {less},
-    ]
-    assert found.alternatives == ()
-    assert found.found_probability == pytest.approx(1.0)
-    diagnosis = ridge_of_force_and_mass(((more,), alone, 29.5))
-    found = diagnosis.posterior
-    assert [set(one.causes) for one in found.alternatives] == [{more}]
-    weights = np.exp([30.0, 29.0, 29.5])
-    assert found.found_probability == pytest.approx(weights[:2].sum() / weights.sum())
-    record = diagnosis_record(diagnosis, {"a": BLOCK, "b": BLOCK})["channels"]["grasp"]
-    assert record["probability"] == found.found_probability
-
-
-def test_what_is_improbable_hides_no_alternative():
-    mass = cause_of("mass_factor", ("a",), -0.4, 0.05)
-    spin = cause_of("spinning_friction_factor", ("a",), 0.4, 0.05)
-    both = ((mass, spin), np.eye(2) * 0.05**2, 29.8)
-    found = ridge_of_force_and_mass(both, ((mass,), [[0.05**2]], 5.0)).posterior
-    assert [set(one.causes) for one in found.alternatives] == [{mass, spin}]
-
-
-def test_another_object_s_figure_of_a_found_name_is_mentioned():
-    def of(key, objects, coordinate=0.4):
-        return cause_of(key, objects, coordinate, 0.05)
-
-    force, slip, other = (
-        of("force_scale", ("a", "b")),
-        of("friction_factor", ("a",)),
-        of("friction_factor", ("b",)),
-    )
-    moved = replace(force, coordinate=0.8)
-    explanations = (
-        Explanation((force, slip), 30.0, 40.0, np.eye(2) * 0.05**2),
-        Explanation((moved, slip, other), 29.5, 40.0, np.eye(3) * 0.05**2),
-    )
-    found = Posterior(explanations, 0.002, 2.0)
-    assert found.confusable_with(force) == ("friction",)
-    labels = np.ones(4, int)
-    diagnosis = GraspDiagnosis(found, labels, 1 - labels, labels, labels, {}, ())
-    assert "In addition to grip_force, friction of b may be wrong." in diagnosis.sentence
-
-
-def test_many_improbable_explanations_leave_a_whole_sentence():
-    """None of the sets of a product has the 5 % that the sentence lists, nor any other."""
-    spin = cause_of("spinning_friction_factor", ("a",), 0.4, 0.05)
-    sentence = ridge_of_force_and_mass(*[((spin,), [[0.05**2]], 29.99)] * 30).sentence
-    assert "% probable; also possible: spinning_friction of " in sentence
-
-
-def test_a_sentence_lists_four_alternatives():
-    force = cause_of("force_scale", ("a", "b"), 0.4, 0.05)
-    keys = ("mass_factor", "friction_factor", "spinning_friction_factor")
-    others = [cause_of(key, (of,), 0.4, 0.05) for key in keys for of in "ab"]
-    diagnosis = diagnosis_of(force, *(((one,), [[0.05**2]], 29.0) for one in others))
-    assert len(diagnosis.posterior.alternatives) == len(others)
-    assert diagnosis.sentence.count("(11 %)") == 4
-    assert ", and 2 more in the report." in diagnosis.sentence
-
-
 def test_the_record_has_the_contracts_keys():
     grasps = Grasps(7)
     labels = grasps.labels("center_of_mass_y_mm", 20.0)
@@ -737,27 +582,6 @@ def test_slack_is_the_logarithm_of_the_friction_that_is_to_spare(share, moment):
     slips = closed_form_margin(np.array([0.8]), np.zeros(1), whole)[0]
     assert slips == pytest.approx(-0.5 * np.log(0.8**-2 + moment**2))
     assert held == pytest.approx([margin, -0.5 * np.log(share**2 + (moment / 1.2) ** 2)])
-
-
-def test_a_failure_names_its_mode_and_a_success_what_is_nearer():
-    turning = turning_share(
-        np.array([0, 0, 1, 1]),
-        np.array([True, False, False, False]),
-        np.array([2.0, 2.0, 5.0, 1.1]),
-        np.array([2.0, 2.0, 1.1, 5.0]),
-    )
-    assert turning[0] > 0.8
-    assert turning[1] < 0.2
-    assert turning[2] > 0.8
-    assert turning[3] < 0.2
-
-
-def test_slack_at_other_forces_goes_on_in_proportion():
-    log_scale = np.log([0.5, 1.0, 2.0])
-    margin = np.array([[-0.9], [-0.1], [0.4]])
-    wanted = np.array([[0.0], [np.log(2.0) / 2], [np.log(3.0)], [np.log(0.4)]])
-    found = margin_at_force(log_scale, margin, wanted)[:, 0]
-    assert found == pytest.approx([-0.1, 0.15, 0.4 + np.log(1.5), -0.9 + np.log(0.8)])
 
 
 @pytest.mark.parametrize("candidate", candidates_for(("block",)), ids=lambda c: c.parameter.key)

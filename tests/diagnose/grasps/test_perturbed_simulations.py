@@ -96,10 +96,7 @@ def test_grasps_to_make_next_separate_the_two_sides_of_a_shift():
     assert sides == [-21.0, 22.0]
 
 
-def test_nothing_found_leaves_the_recipe_as_it_is():
-    assert extended_recipe(RECIPE, [], [BOX]) is RECIPE
-
-
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_mass_predicts_what_the_inverse_force_does_where_nothing_turns(tmp_path):
     """Failure modes included: they would speak for whichever of the two was simulated."""
@@ -114,6 +111,7 @@ def test_a_mass_predicts_what_the_inverse_force_does_where_nothing_turns(tmp_pat
     assert mass.turning == pytest.approx(force.turning[::-1], abs=0.02)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_only_a_force_presses_the_patches_under_the_pads_larger(tmp_path):
     """So a mass is not quite another force: on a dome V = π a⁴ / 4R, and V grows with the force.
@@ -194,9 +192,3 @@ def test_two_causes_are_simulated_at_once_and_kept(tmp_path):
     known = dict(simulations.known)
     simulations.refined([Explanation(idle, 1.0, 1.0, np.eye(2))])
     assert simulations.known == known
-
-
-def test_crossings_lie_where_the_line_between_values_is_zero():
-    axis = np.array([0.0, 1.0, 2.0, 3.0])
-    assert crossings(axis, np.array([-1.0, 1.0, 3.0, -1.0])) == pytest.approx([0.5, 2.75])
-    assert crossings(axis, np.ones(4)).size == 0

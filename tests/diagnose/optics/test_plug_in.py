@@ -1,15 +1,12 @@
 """One module and its registration make an effect: fitted, named, rendered, reported."""
 
-import ast
 import json
 from dataclasses import replace
-from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 import pytest
 
-import tacgen
 from tacgen.core.errors import TableError
 from tacgen.diagnose.optics.diagnose import diagnose_optics
 from tacgen.optics import render_rgb
@@ -18,20 +15,10 @@ from tacgen.optics.effects import (
     OpticalParameter,
     Stage,
     check_effects,
-    optical_effects,
     register,
     unregister,
 )
 from tests.diagnose.optics.test_diagnose import presses, table_of_before
-
-PACKAGE = Path(tacgen.__file__).parent
-ROOMS = ("optics", "diagnose/optics")
-MODULES = [
-    path
-    for room in ROOMS
-    for path in (PACKAGE / room).rglob("*.py")
-    if path.parent != PACKAGE / "optics" / "effects"
-]
 
 
 class Glow(OpticalEffect):
@@ -94,15 +81,3 @@ def test_a_name_is_registered_once_and_known_only_while_it_is(glow):
     with pytest.raises(TableError, match="'glow' is unknown"):
         check_effects({"glow": {}})
     register(Glow())
-
-
-def test_no_other_module_names_an_effect():
-    names = {effect.name for effect in optical_effects()}
-    for path in MODULES:
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            where = f"{path.relative_to(PACKAGE)}:{getattr(node, 'lineno', 0)}"
-            if isinstance(node, ast.Constant):
-                assert node.value not in names, where
-            if isinstance(node, ast.ImportFrom):
-                parts = {*(node.module or "").split("."), *(alias.name for alias in node.names)}
-                assert not (parts & names), where

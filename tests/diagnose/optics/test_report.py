@@ -50,11 +50,3 @@ def test_the_page_shows_the_effects_with_their_errors(tmp_path):
     assert "p2: dark" in page
     assert page.index("Error before and after") < page.index("Test presses") < page.index("Effects")
     assert "://" not in page
-
-
-def test_a_page_without_effects_has_no_table_of_them(tmp_path):
-    steps = [{"error_before": 5.0, "chosen": "", "rmse": {"blur": 4.99}}]
-    page = write(tmp_path, channel(verdict="sufficient", effects=[], steps=steps))
-    assert "Effects, in the order" not in page
-    assert '<p class="note">Nothing.</p>' in page
-    assert '<p class="summary sufficient">' in page

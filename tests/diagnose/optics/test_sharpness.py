@@ -1,7 +1,5 @@
 """A camera out of focus is seen by the noise that it takes away."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
@@ -66,9 +64,3 @@ def test_sharp_pictures_are_not_called_blurred():
 
 def test_test_presses_may_object():
     assert lost_noise(noisy_presses(1.0), noisy_presses(seed=2), table(), OPTICS) is None
-
-
-def test_no_table_or_one_without_noise_says_nothing_of_it():
-    blurred = noisy_presses(1.0)
-    assert lost_noise(blurred, blurred, None, OPTICS) is None
-    assert lost_noise(blurred, blurred, replace(table(), noise_grey=0.0), OPTICS) is None

@@ -1,23 +1,19 @@
 """The study of regrasping: every policy on the same episodes, and its page."""
 
 from pathlib import Path
-from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 pytest.importorskip("torch")
 
 from tacgen.collection.recipe import load_recipe
 from tacgen.core.errors import LearningError
-from tacgen.envs.regrasp import Drawn, Look, Simulated, Tried, regrasp
+from tacgen.envs.regrasp import Drawn, Simulated, Tried, regrasp
 from tests.envs.regrasp_world import FEW, regrasp_world
 from validation.regrasp.__main__ import main
-from validation.regrasp.page import _drawn, shown_episodes, write_study_page
+from validation.regrasp.page import shown_episodes, write_study_page
 from validation.regrasp.policies import POLICIES
 from validation.regrasp.study import _network_scores, study
-
-SIDES = slice(12, 20), slice(22, 32)  # of an arrow from column 10 to 30
 
 pytestmark = pytest.mark.slow
 
@@ -79,14 +75,6 @@ def test_the_page_shows_three_episodes(result, tmp_path):
     shown = shown_episodes(played.episodes["touch", 2])
     assert page.count("<figure>") == sum(len(one.steps) for one in shown)
     assert "sugar_box" in page
-
-
-def test_markers_are_drawn_with_arrows_that_have_heads():
-    moved_mm = np.array([[[20.0, 0.0], [0.0, 0.0]]])
-    pad = SimpleNamespace(rgb=np.zeros((1, 60, 60, 3), np.uint8), markers_mm=moved_mm)
-    image = _drawn(Look(None, pad, [0]), np.array([[10.0, 30.0], [40.0, 30.0]]), 1.0)
-    height_px = [int((image[:, columns].max(axis=(1, 2)) > 100).sum()) for columns in SIDES]
-    assert height_px[0] == 1 < 3 <= height_px[1]
 
 
 def test_the_networks_accuracy_is_that_of_what_it_saw():

@@ -24,14 +24,6 @@ def test_the_same_seed_gives_the_same_log():
     assert not first.frame.equals(draw_case(4, normal=[("creep", 1.5)], n_trials=12).frame)
 
 
-def test_clean_data_is_the_law_and_noise():
-    case = draw_case(1, n_trials=16, force_noise_share=0.0, with_shear=True)
-    force = case.frame["force_normal_n"].to_numpy()
-    np.testing.assert_allclose(case.volume_mm3, case.k_n_mm3_per_n * force, atol=1e-9)
-    noise = case.frame["volume_mm3"].to_numpy() - case.volume_mm3
-    assert np.std(noise) == pytest.approx(case.noise_mm3, rel=0.15)
-
-
 @pytest.mark.parametrize("name", sorted(forms.NORMAL))
 def test_normal_effects_have_the_strength_they_were_asked_for(name):
     case = draw_case(7, normal=[(name, 2.0)], n_trials=16, noise_share=0.01, force_noise_share=0.0)
@@ -46,26 +38,6 @@ def test_shear_effects_have_the_strength_they_were_asked_for(name):
     case = draw_case(9, shear=[(name, 2.0)], n_trials=16, noise_share=0.01, force_noise_share=0.0)
     force = case.frame[["force_shear_x_n", "force_shear_y_n"]].to_numpy()
     assert left_over(case.shear_mm, force) / case.noise_mm == pytest.approx(2.0, rel=0.05)
-
-
-@pytest.mark.parametrize("name", sorted(forms.UNLISTED))
-def test_unlisted_effects_are_named_by_their_covariate(name):
-    case = draw_case(5, normal=[(name, 2.0)], n_trials=16, noise_share=0.01)
-    assert case.unexplained == {"normal": name, "shear": ""}
-    assert name in case.frame.columns
-    assert case.reached["normal", name] == pytest.approx(2.0, rel=0.05)
-
-
-@pytest.mark.parametrize("channel", ["normal", "shear"])
-def test_no_strength_is_no_effect(channel):
-    names = sorted(forms.NORMAL if channel == "normal" else forms.SHEAR)
-    for name in names:
-        wanted = {channel: [(name, 0.0)]}
-        case = draw_case(2, n_trials=12, force_noise_share=0.0, with_shear=True, **wanted)
-        load = case.frame["force_normal_n"].to_numpy()
-        np.testing.assert_allclose(case.volume_mm3, case.k_n_mm3_per_n * load, atol=1e-9)
-        shear = case.frame[["force_shear_x_n", "force_shear_y_n"]].to_numpy()
-        np.testing.assert_allclose(case.shear_mm, case.k_s_mm_per_n * shear, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["region", "stretch", "indenter"])

@@ -5,7 +5,7 @@ import pytest
 
 from validation.blind.generator import draw_case
 from validation.contact import recorded_logs
-from validation.contact.recordings import RECORDINGS, held, resampled, smoothed
+from validation.contact.recordings import RECORDINGS, resampled
 
 
 @pytest.mark.parametrize("name", RECORDINGS)
@@ -24,13 +24,6 @@ def test_every_other_row_of_twice_the_rate_is_a_measured_one():
     assert len(recorded) == int((2 * counts - 1).sum())
     place = recorded.groupby("trial").cumcount()
     np.testing.assert_array_equal(recorded["volume_mm3"][place % 2 == 0], frame["volume_mm3"])
-
-
-def test_means_and_held_readings_are_those_of_their_rows():
-    frame = draw_case(3, n_trials=12).frame
-    force = frame["force_normal_n"].to_numpy()
-    assert smoothed(frame)["force_normal_n"].to_numpy()[7] == pytest.approx(force[5:10].mean())
-    np.testing.assert_array_equal(held(frame, 4)["force_normal_n"].to_numpy()[4:8], force[4])
 
 
 @pytest.mark.slow

@@ -26,14 +26,6 @@ def test_every_kind_has_the_columns_of_a_log_and_no_effect(kind):
     assert len(force) > 1000
 
 
-def test_lasting_noise_lasts():
-    frame, error = spoiled("noise that lasts 5 to 50 samples")
-    same = np.diff(frame["trial"]) == 0
-    # Half of the variance is white, the other half correlated by exp(−1/5) at least.
-    assert np.mean((error[1:] * error[:-1])[same]) > 0.5 * np.exp(-1 / 5) - 0.1
-    assert error.std() == pytest.approx(1.0, abs=0.2)
-
-
 def test_trials_that_bend_have_a_curvature_each():
     case = draw_case(3, n_trials=40, with_shear=True)
     bent = clean_logs.KINDS["trials that bend by 3 %"][0]
@@ -44,12 +36,6 @@ def test_trials_that_bend_have_a_curvature_each():
     assert bends.std().max() < 1e-9
     # The standard deviation of 40 normal numbers is known to 11 %.
     assert bends.mean().std() == pytest.approx(0.03, rel=0.4)
-
-
-def test_outliers_stick_out_and_the_rest_does_not():
-    _, error = spoiled("outliers")
-    assert 0.003 < np.mean(np.abs(error) > 4.5) < 0.07
-    assert np.abs(error).max() > 20
 
 
 def test_the_table_counts_logs_with_a_false_name_once():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from validation.cluster.simulate import Workload, simulate, table
+from validation.cluster.simulate import Workload, simulate
 
 
 def run(**changes):
@@ -38,13 +38,3 @@ def test_every_shard_is_made_once_and_preemptions_follow_the_geometric_law(preem
     assert found.starts == 500 + found.preemptions
     used_s = 10_000 * 30.0 / (1 - found.lost_share - found.start_share)
     assert found.lost_share * used_s == pytest.approx(15.0 * found.preemptions, rel=0.1)
-
-
-def test_a_lone_slot_waits_for_the_requeue():
-    found = run(shards=200, slots=1, shards_per_task=200, spread=0.0, requeue_s=1000.0)
-    working_s = 200 * 30.0 / (1 - found.lost_share - found.start_share)
-    assert found.makespan_s == pytest.approx(working_s + 1000.0 * found.preemptions)
-
-
-def test_the_table_has_a_row_for_each_size():
-    assert len(table(100, 10, 30.0, 0.05, 0).splitlines()) == 8

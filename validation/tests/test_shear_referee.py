@@ -27,6 +27,7 @@ def pressed():
     return ball, touch
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_press_obeys_the_bonded_layer(pressed):
     ball, touch = pressed
@@ -41,6 +42,7 @@ def test_a_press_obeys_the_bonded_layer(pressed):
     assert (touch.motion_mm[~inside, 2] <= (sag - DEPTH_MM)[~inside] + 1e-4).all()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_forces_are_mutual_and_the_quarters_make_a_whole(pressed):
     ball, touch = pressed
@@ -60,6 +62,7 @@ def test_forces_are_mutual_and_the_quarters_make_a_whole(pressed):
     assert np.allclose(back[..., 2], -moved.motion_mm[..., 2], atol=1e-9)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_shear_sticks_in_the_middle_and_obeys_coulomb(pressed):
     ball, touch = pressed
@@ -79,6 +82,7 @@ def test_a_shear_sticks_in_the_middle_and_obeys_coulomb(pressed):
     assert not (ball.slipping(slid) == 1).any()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_wide_block_moves_by_the_layers_compliance():
     block = GelBlock(1.0, 0.25, 12.0, 12.0, knots_mm=(0.5, 1.0))

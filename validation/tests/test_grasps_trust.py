@@ -50,11 +50,6 @@ def test_a_product_must_hold_all_causes_and_be_the_true_one(truth, expected):
     assert judged(on_a_ridge(), truth, ("cup",)) == expected
 
 
-def test_nothing_named_is_right_where_nothing_is_wrong():
-    assert judged(on_a_ridge(p_value=0.5), {}, ("cup",)) == "right"
-    assert judged(on_a_ridge(p_value=0.5), {"mass": 1.4}, ("cup",)) == "missed"
-
-
 @pytest.mark.parametrize(
     ("truth", "expected"),
     [
