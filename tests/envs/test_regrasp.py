@@ -17,7 +17,7 @@ from tacgen.envs.regrasp import (
     RESULT,
     WORLDS,
     Costs,
-    _checked_pad,
+    Question,
     _grasps_of,
     by_touch,
     look_rise_mm,
@@ -37,7 +37,7 @@ def world(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def result(world):
-    return regrasp(world / "run", load_recipe(world / "small.yaml"), world / "out", **FEW)
+    return regrasp(world / "run", load_recipe(world / "small.yaml"), world / "out", FEW)
 
 
 pytestmark = pytest.mark.slow
@@ -46,9 +46,8 @@ pytestmark = pytest.mark.slow
 def simulated_of(world: Path):
     """From the finished worlds of ``result``."""
     recipe = load_recipe(world / "small.yaml")
-    return simulate(
-        world / "run", recipe, world / "out", 3, 3, recipe.seed, 1, lambda done, total: None
-    )
+    asked = Question.checked(world / "run", recipe)
+    return recipe, simulate(asked, world / "out", FEW)["sugar_box"]
 
 
 def test_every_episode_ends_in_a_lift_that_is_counted(result):
@@ -65,14 +64,12 @@ def test_every_episode_ends_in_a_lift_that_is_counted(result):
 
 
 def test_the_outcomes_are_those_of_the_pipeline(result, world):
-    simulated = simulated_of(world)
-    episode = simulated.worlds_of(0, is_episode=True)[0]
-    with GraspPipeline(simulated.recipe) as pipeline:
-        for planned, holds in zip(
-            simulated.grasps["sugar_box"], simulated.holds(episode), strict=True
-        ):
+    recipe, simulated = simulated_of(world)
+    tried = simulated.episodes
+    with GraspPipeline(recipe) as pipeline:
+        for planned, holds in zip(simulated.grasps, tried.holds[0], strict=True):
             assert holds == (
-                pipeline.simulate(replace(planned, seed=episode.seed)).trace.label == 1
+                pipeline.simulate(replace(planned, seed=tried.seeds[0])).trace.label == 1
             )
     assert 5 < result["test_lift_mm"] < 8  # 0.34 s at 120 mm/s² are 6.9 mm
 
@@ -84,7 +81,7 @@ def test_it_goes_on_where_it_was_and_gives_the_same(result, world, tmp_path):
     (out / WORLDS).write_text("".join(lines[:2]) + lines[2][: len(lines[2]) // 2])
     (out / RESULT).unlink()
     recipe = load_recipe(world / "small.yaml")
-    again = regrasp(world / "run", recipe, out, workers=2, **FEW)
+    again = regrasp(world / "run", recipe, out, FEW, workers=2)
     assert again == result
     assert json.loads((out / RESULT).read_text()) == again
 
@@ -94,7 +91,7 @@ def test_other_costs_simulate_nothing_anew(result, world, tmp_path):
     shutil.copytree(world / "out", out)
     before = (out / WORLDS).read_bytes()
     recipe = load_recipe(world / "small.yaml")
-    cheap = regrasp(world / "run", recipe, out, **(FEW | {"costs": Costs(1.0, 2.0)}))
+    cheap = regrasp(world / "run", recipe, out, replace(FEW, costs=Costs(1.0, 2.0)))
     assert (out / WORLDS).read_bytes() == before
     # A regrasp that costs more than a drop is never made.
     assert [one["mean_regrasps"] for one in cheap["by_touch"]] == [0, 0, 0]
@@ -135,7 +132,7 @@ def changed(world: Path, **sections: str):
 def test_a_run_of_other_images_or_objects_is_refused(world, tmp_path, section, text, says):
     recipe = changed(tmp_path, **{section: text})
     with pytest.raises(LearningError, match=says):
-        regrasp(world / "run", recipe, tmp_path / "out", **FEW)
+        regrasp(world / "run", recipe, tmp_path / "out", FEW)
     assert not (tmp_path / "out").exists()
 
 
@@ -146,12 +143,12 @@ def test_a_run_that_sees_a_camera_is_refused(world, tmp_path):
     plan["recipe"]["input"]["channels"] = ["image", "vision"]
     path.write_text(json.dumps(plan))
     with pytest.raises(LearningError, match="sees a camera.*without the channel vision"):
-        _checked_pad(tmp_path / "run", load_recipe(world / "small.yaml"))
+        Question.checked(tmp_path / "run", load_recipe(world / "small.yaml"))
 
 
 def test_a_recipe_that_leaves_nothing_unknown_is_warned_of(world, tmp_path, capsys):
-    few = FEW | {"episodes": 2, "worlds": 2}
-    regrasp(world / "run", changed(tmp_path, randomize="{yaw_rad: 0.01}"), tmp_path / "out", **few)
+    few = replace(FEW, episodes=2, worlds=2)
+    regrasp(world / "run", changed(tmp_path, randomize="{yaw_rad: 0.01}"), tmp_path / "out", few)
     assert "nothing of an object is unknown" in capsys.readouterr().err
 
 
@@ -167,16 +164,16 @@ def test_a_look_that_shows_how_the_lift_ends_is_refused(tmp_path):
 def test_what_is_no_run_is_refused(world, tmp_path):
     recipe = load_recipe(world / "small.yaml")
     with pytest.raises(LearningError, match="tacgen train"):
-        regrasp(world / "data", recipe, tmp_path / "out", **FEW)
+        regrasp(world / "data", recipe, tmp_path / "out", FEW)
 
 
 def test_seeds_of_imagined_worlds_and_episodes_differ_and_depend_on_the_seed_alone(world):
     recipe = load_recipe(world / "small.yaml")
     pipeline, planned = GraspPipeline(recipe), _grasps_of(recipe)["sugar_box"][0]
     seeds = [
-        standing_seeds(pipeline, planned, seed, 4, is_episode=is_episode)
+        standing_seeds(pipeline, planned, seed, stream, 4)
         for seed in (0, 1)
-        for is_episode in (False, True)
+        for stream in ("imagined", "episode")
     ]
     assert len({one for listed in seeds for one in listed}) == 16
-    assert standing_seeds(pipeline, planned, 0, 2, is_episode=True) == seeds[1][:2]
+    assert standing_seeds(pipeline, planned, 0, "episode", 2) == seeds[1][:2]
