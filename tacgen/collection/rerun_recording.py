@@ -111,7 +111,7 @@ def _drawn_finger(gripper: GripperSpec, pad: str) -> Any:
     """Boxes in the frame of its gel."""
     import rerun as rr
 
-    sizes, centers, colors = zip(*finger_boxes(gripper, pad), strict=True)
+    sizes, centers, colors, _ = zip(*finger_boxes(gripper, pad), strict=True)
     axes = gripper.side(pad).gel_axes
     in_gel = {"sizes": sizes @ np.abs(axes), "centers": centers @ axes}
     return rr.Boxes3D(**in_gel, colors=colors, fill_mode="solid")

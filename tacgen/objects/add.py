@@ -1,10 +1,7 @@
 """Add a mesh of one's own as an object: ``objects/<name>`` with its description and meshes."""
 
 import itertools
-import os
 import re
-import shutil
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +12,7 @@ import yaml
 from numpy.typing import NDArray
 
 from tacgen.core.errors import ObjectError
-from tacgen.core.files import sha256_of, sync_file
+from tacgen.core.files import atomic_folder, sha256_of
 from tacgen.core.records import GraspObject, Mesh
 from tacgen.core.types import FloatArray
 from tacgen.objects.cutting import CONCAVITIES, convex_parts, cut_again
@@ -382,11 +379,7 @@ def _write(
 ) -> None:
     """Write and read back a folder beside its place, then rename it there."""
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        work = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".part", dir=folder.parent))
-        try:
-            fresh = work / folder.name
-            fresh.mkdir()
+        with atomic_folder(folder, replaces=force) as fresh:
             mesh = trimesh.Trimesh(surface.vertices_mm, surface.faces, process=False)
             mesh.export(fresh / "surface.ply", encoding="binary")
             write_meshes(fresh / "collision.npz", parts)
@@ -395,15 +388,6 @@ def _write(
             )
             (fresh / "object.yaml").write_text(text, encoding="utf-8")
             load_object(fresh)
-            for path in fresh.iterdir():
-                sync_file(path)
-            sync_file(fresh)
-            if force and folder.exists():
-                os.replace(folder, work / "replaced")
-            os.replace(fresh, folder)
-            sync_file(folder.parent)
-        finally:
-            shutil.rmtree(work, ignore_errors=True)
     except OSError as error:
         msg = f"{folder}: cannot be written: {error.strerror or error}; check the folder and disk"
         raise ObjectError(msg) from None

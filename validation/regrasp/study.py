@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.collection.grid import rng_of
 from tacgen.collection.recipe import Recipe
 from tacgen.core.errors import LearningError
 from tacgen.core.files import write_text
+from tacgen.core.records import rng_of
 from tacgen.envs.regrasp import (
     DROPS,
     ObjectGrasps,
