@@ -26,6 +26,7 @@ from tacgen.optics import load_table
 from tacgen.optics.visible import visible_share
 from tacgen.physics import FrameRequest, GraspSimulator
 from tacgen.physics.grasp import StartedGrasp, not_executed
+from tacgen.physics.rest import topples_deg
 from tacgen.sensor.description import load_sensor
 from tacgen.sensor.gel_response import GelLoad, gel_loads, is_near, rounded_pose_and_load
 from tacgen.sensor.tactile_pad import Imprint, TactileFrame, TactilePad
@@ -132,6 +133,10 @@ class GraspPipeline:
         drawn = self._drawn(planned, 0)
         pads = self._settings.sensing_pads
         return SimulatedGrasp(planned, *drawn, not_executed(drawn[1], "no_contact", NOTHING, pads))
+
+    def stands(self, planned: PlannedGrasp) -> bool:
+        """Whether the object of a planned grasp stands, with what is drawn of it."""
+        return not topples_deg(self.at_rest(planned).grasped)
 
     def _drawn(
         self, planned: PlannedGrasp, attempt: int

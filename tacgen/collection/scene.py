@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 
 from tacgen.collection.recipe import Recipe
 from tacgen.core.records import PADS, Camera, GraspConfig, GraspObject, GraspTrace
-from tacgen.core.types import FloatArray
+from tacgen.core.types import FloatArray, pose, rotation_about_z, rotation_of
 from tacgen.dataset import CameraSample
 from tacgen.dataset.schema import SEGMENTS
 from tacgen.objects.meshes import from_manifold
 from tacgen.objects.pinhole import Solid, camera_around, pinhole_view
-from tacgen.physics import frames
 from tacgen.physics.gripper import GripperSpec
 
 PICTURE_PX = (150, 200)  # (height, width); enough to recognise the grasp in a gallery
@@ -63,10 +62,10 @@ def scene_solids(
     yield _object(grasped, pose_matrix(trace.object_pose[frame]))
     if trace.gripper_pose is None:
         return
-    pose = pose_matrix(trace.gripper_pose[frame])
+    held = pose_matrix(trace.gripper_pose[frame])
     half_mm, center_mm = gripper.hand.box.half_and_center_mm
-    yield _box(pose, 2 * half_mm, center_mm, HAND_COLOR, "gripper")
-    yield from _fingers(gripper, pose, pad_distances_mm(trace, frame))
+    yield _box(held, 2 * half_mm, center_mm, HAND_COLOR, "gripper")
+    yield from _fingers(gripper, held, pad_distances_mm(trace, frame))
 
 
 def grasp_picture(
@@ -76,21 +75,21 @@ def grasp_picture(
 
     The fingers go on beyond the picture: the object fills it.
     """
-    pose, openings_mm = np.eye(4), dict.fromkeys(PADS, gripper.stroke_mm / 2)
+    stands, openings_mm = np.eye(4), dict.fromkeys(PADS, gripper.stroke_mm / 2)
     if trace.frames and len(trace.object_pose):
-        pose, openings_mm = pose_matrix(trace.object_pose[frame]), pad_distances_mm(trace, frame)
-    turn = frames.rotation_about_z(config.yaw_rad)
-    at = np.asarray(frames.pose(turn, [config.x_mm, config.y_mm, config.z_mm]), np.float64)
+        stands, openings_mm = pose_matrix(trace.object_pose[frame]), pad_distances_mm(trace, frame)
+    place_mm = [config.x_mm, config.y_mm, config.z_mm]
+    at = np.asarray(pose(rotation_about_z(config.yaw_rad), place_mm), np.float64)
     fingers = list(_fingers(gripper, at, openings_mm))
     pads = [one for one in fingers if one.color_rgb == PAD_COLOR]
-    shown = [_table(PICTURED_TABLE_MM), _object(grasped, pose)]
+    shown = [_table(PICTURED_TABLE_MM), _object(grasped, stands)]
     points_mm = np.concatenate([one.vertices_mm for one in (*shown, *pads)])
     return pinhole_view(camera_around(points_mm, PICTURE_PX, *VIEW_DEG), [*shown, *fingers])[0]
 
 
-def pose_matrix(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+def pose_matrix(given: NDArray[np.float64]) -> NDArray[np.float64]:
     """The (4, 4) transform of x, y, z and a quaternion x, y, z, w (7,)."""
-    return np.asarray(frames.pose(frames.rotation_of(pose[3:]), pose[:3]))
+    return np.asarray(pose(rotation_of(given[3:]), given[:3]))
 
 
 def pad_distances_mm(trace: GraspTrace, frame: int) -> dict[str, float]:
@@ -103,9 +102,9 @@ def pad_distances_mm(trace: GraspTrace, frame: int) -> dict[str, float]:
     return dict(zip(PADS, distances_mm.tolist(), strict=True))
 
 
-def _object(grasped: GraspObject, pose: NDArray[np.float64]) -> Solid:
+def _object(grasped: GraspObject, at: NDArray[np.float64]) -> Solid:
     surface, segment = grasped.surface, SEGMENTS.index("object")
-    return Solid(_moved(surface.vertices_mm, pose), surface.faces, grasped.color_rgb, segment)
+    return Solid(_moved(surface.vertices_mm, at), surface.faces, grasped.color_rgb, segment)
 
 
 def _table(size_mm: tuple[float, float, float]) -> Solid:
@@ -113,13 +112,13 @@ def _table(size_mm: tuple[float, float, float]) -> Solid:
 
 
 def _fingers(
-    gripper: GripperSpec, pose: NDArray[np.float64], openings_mm: Mapping[str, float]
+    gripper: GripperSpec, at: NDArray[np.float64], openings_mm: Mapping[str, float]
 ) -> Iterator[Solid]:
     """The pads and their fingers, where the gels are so far from the gripper's middle."""
     for pad, distance_mm in openings_mm.items():
         gel_mm = np.array([gripper.side(pad).side * distance_mm, 0.0, 0.0])
         for extents_mm, center_mm, color_rgb, segment in finger_boxes(gripper, pad):
-            yield _box(pose, extents_mm, center_mm + gel_mm, color_rgb, segment)
+            yield _box(at, extents_mm, center_mm + gel_mm, color_rgb, segment)
 
 
 def finger_boxes(
@@ -139,7 +138,7 @@ def finger_boxes(
 
 
 def _box(
-    pose: NDArray[np.float64],
+    at: NDArray[np.float64],
     extents_mm: Sequence[float] | FloatArray,
     center_mm: Sequence[float] | FloatArray,
     color_rgb: tuple[int, int, int],
@@ -147,13 +146,13 @@ def _box(
 ) -> Solid:
     corners, faces = unit_box()
     placed_mm = corners * np.asarray(extents_mm) + np.asarray(center_mm)
-    return Solid(_moved(placed_mm, pose), faces, color_rgb, SEGMENTS.index(segment))
+    return Solid(_moved(placed_mm, at), faces, color_rgb, SEGMENTS.index(segment))
 
 
-def _moved(points_mm: NDArray[np.float64], pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points (n, 3) by a pose; written out, for a library's product varies with the processor."""
+def _moved(points_mm: NDArray[np.float64], at: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points (n, 3) by a at; written out, for a library's product varies with the processor."""
     x, y, z = points_mm.T
-    columns = [row[0] * x + row[1] * y + row[2] * z + row[3] for row in pose[:3]]
+    columns = [row[0] * x + row[1] * y + row[2] * z + row[3] for row in at[:3]]
     return np.stack(columns, axis=1)
 
 

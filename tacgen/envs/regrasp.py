@@ -38,7 +38,6 @@ from tacgen.learning.predictor import Predictor
 from tacgen.learning.run_folder import RunFolder
 from tacgen.learning.scores import wilson_interval
 from tacgen.learning.training_recipe import TrainRecipe
-from tacgen.physics.rest import topples_deg
 
 SCHEMA = 2
 WORLDS, RESULT = "worlds.jsonl", "regrasp.json"
@@ -477,7 +476,7 @@ def standing_seeds(
     standing = (
         one
         for one in islice(every, n * MOST_TOPPLED)
-        if not topples_deg(pipeline.at_rest(replace(planned, seed=one)).grasped)
+        if pipeline.stands(replace(planned, seed=one))
     )
     found = list(islice(standing, n))
     if len(found) < n:

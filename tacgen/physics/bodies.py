@@ -6,9 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from tacgen.core.records import GraspObject, Mesh
-from tacgen.core.types import M_PER_MM, FloatArray
+from tacgen.core.types import M_PER_MM, FloatArray, pose, quaternion_from_rotation
 from tacgen.physics.engine import Place
-from tacgen.physics.frames import pose, quaternion_from_rotation
 from tacgen.physics.world import HULL_MARGIN_MM, BulletLink, Collides, World, link_arguments
 
 OBJECT_FRICTION = 1.0

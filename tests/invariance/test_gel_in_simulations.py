@@ -9,7 +9,7 @@ import trimesh
 from tacgen.contact.law import ContactLaw, FittedEffect
 from tacgen.core.errors import SensorError
 from tacgen.core.records import ContactFrame, Estimate
-from tacgen.sensor.engines import _capsule
+from tacgen.sensor.engines import solid
 from tacgen.sensor.gel_response import GelCourse
 from tacgen.sensor.simulated import Sensor, as_mesh
 
@@ -453,6 +453,6 @@ def test_the_moment_of_a_contact_is_that_by_which_a_peg_is_turned(condim, pad, p
 
 @pytest.mark.parametrize("radius_m", [0.0005, 0.003, 0.02])
 def test_a_small_capsule_is_whole(radius_m):
-    shape = _capsule(radius_m, 2 * radius_m)
+    shape = solid("capsule", radius_m, 2 * radius_m)
     assert shape.is_watertight
     assert shape.volume == pytest.approx((2 + 4 / 3) * np.pi * radius_m**3, rel=3e-4)

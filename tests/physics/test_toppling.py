@@ -8,9 +8,10 @@ from scipy.spatial import Delaunay
 
 from tacgen.core.records import GraspConfig, GraspObject, Mesh
 from tacgen.core.resources import object_folders, packaged
+from tacgen.core.types import turn_rad
 from tacgen.objects import load_object
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
-from tacgen.physics.rest import angle_deg, toppled, topples_deg
+from tacgen.physics.rest import toppled, topples_deg
 
 FOOT, SLAB = (20.0, 30.0, 40.0), (100.0, 30.0, 10.0)
 
@@ -103,4 +104,4 @@ def test_a_body_on_two_tips_in_a_line_rolls_on_to_a_third():
     """A ridge below a body that is wider to both sides: it is balanced on it, but not for long."""
     tips = [[0, -40, 0], [0, 40, 0], [25, 0, 8], [-25, 0, 8], [0, 0, 40]]
     turn = toppled(np.array(tips, dtype=float), np.array([0.0, 0.0, 15.0]))
-    assert angle_deg(turn) == pytest.approx(np.degrees(np.arctan2(8, 25)), abs=1e-6)
+    assert np.degrees(turn_rad(turn)) == pytest.approx(np.degrees(np.arctan2(8, 25)), abs=1e-6)

@@ -8,11 +8,18 @@ import numpy as np
 
 from tacgen.core.errors import PhysicsError
 from tacgen.core.records import PADS, GraspObject, Mesh
-from tacgen.core.types import M_PER_MM, STANDARD_GRAVITY_M_S2, FloatArray, IntArray
+from tacgen.core.types import (
+    M_PER_MM,
+    STANDARD_GRAVITY_M_S2,
+    FloatArray,
+    IntArray,
+    pose,
+    quaternion_from_rotation,
+    rotation_of,
+)
 from tacgen.physics import engine
 from tacgen.physics.bodies import principal_axes
 from tacgen.physics.engine import TABLE, ContactPoint, Place, Touch, Vector
-from tacgen.physics.frames import pose, quaternion_from_rotation, rotation_of
 from tacgen.physics.gripper import outline_of
 from tacgen.physics.margins import torsion_factor
 from tacgen.physics.mujoco.model import (
