@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 from tacgen.collection.gel import contact_law, gel_patch, mounted_sensor
 from tacgen.collection.inputs import recipe_inputs
 from tacgen.collection.kept import kept_results
-from tacgen.collection.recipe import ObjectEntry, Recipe
+from tacgen.collection.recipe import ObjectEntry, Randomize, Recipe
 from tacgen.core.errors import DatasetError
 from tacgen.core.files import sha256_of_content
 from tacgen.core.processes import Report
@@ -63,9 +63,9 @@ class Perturbation:
     def changes(self) -> dict[str, Any]:
         """The fields that are not at their default."""
         return {
-            field.name: getattr(self, field.name)
-            for field in fields(self)
-            if getattr(self, field.name) != field.default
+            one.name: getattr(self, one.name)
+            for one in fields(self)
+            if getattr(self, one.name) != one.default
         }
 
     def and_then(self, other: "Perturbation") -> "Perturbation":
@@ -217,6 +217,55 @@ def perturbed_entry(entry: ObjectEntry, change: Perturbation) -> ObjectEntry:
             if (now_mm := tuple(np.round(moved, 4).tolist())) != before_mm:
                 figures[name] = now_mm
     return entry.model_copy(update=figures)
+
+
+# Relative changes are log-normal, so that no draw makes a mass or a friction negative; beyond
+# this many standard deviations a draw is pulled back, so that none is absurd.
+_MAX_DEVIATIONS = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Variation:
+    """One draw: changes to object, gel and camera, and shifts of the grasp in mm and rad."""
+
+    perturbation: Perturbation = field(default_factory=Perturbation)
+    k_n_factor: float = 1.0
+    gain_factor: float = 1.0
+    position_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    yaw_rad: float = 0.0
+
+
+def draw_variation(spread: Randomize, rng: np.random.Generator) -> Variation:
+    """Draw what one grasp varies; the same generator state gives the same draw.
+
+    Every figure consumes its random numbers whether it is varied or not, so that switching one
+    on leaves the draws of the others as they were.
+    """
+    z = np.clip(rng.standard_normal(11), -_MAX_DEVIATIONS, _MAX_DEVIATIONS)
+    x_mm, y_mm, z_mm = (spread.position_mm * z[7:10]).tolist()
+    return Variation(
+        Perturbation(
+            friction_factor=float(np.exp(spread.friction_relative * z[0])),
+            mass_factor=float(np.exp(spread.mass_relative * z[1])),
+            **shift_of_center((spread.center_of_mass_mm * z[2:5]).tolist()),
+        ),
+        k_n_factor=float(np.exp(spread.k_n_relative * z[5])),
+        gain_factor=float(np.exp(spread.sensor_gain_relative * z[6])),
+        position_mm=(x_mm, y_mm, z_mm),
+        yaw_rad=float(spread.yaw_rad * z[10]),
+    )
+
+
+def vary_config(config: GraspConfig, variation: Variation) -> GraspConfig:
+    """The configuration as it is carried out, off from the one asked for."""
+    dx_mm, dy_mm, dz_mm = variation.position_mm
+    return replace(
+        config,
+        x_mm=config.x_mm + dx_mm,
+        y_mm=config.y_mm + dy_mm,
+        z_mm=config.z_mm + dz_mm,
+        yaw_rad=config.yaw_rad + variation.yaw_rad,
+    )
 
 
 @dataclass(frozen=True, slots=True)

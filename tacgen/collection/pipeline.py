@@ -13,8 +13,13 @@ from tacgen.collection.confidence import label_confidence
 from tacgen.collection.gel import SETTLED_PRESS, contact_law, gel_patch, mounted_sensor
 from tacgen.collection.grid import Grids, PlannedGrasp
 from tacgen.collection.inputs import recipe_inputs
-from tacgen.collection.perturbed import perturbed_object, recipe_object
-from tacgen.collection.randomize import Variation, draw_variation, vary_config
+from tacgen.collection.perturbed import (
+    Variation,
+    draw_variation,
+    perturbed_object,
+    recipe_object,
+    vary_config,
+)
 from tacgen.collection.recipe import Recipe
 from tacgen.collection.scene import PICTURE_PX, camera_samples, cameras_of, grasp_picture
 from tacgen.contact.law import ContactLaw

@@ -3,8 +3,13 @@
 import numpy as np
 import pytest
 
-from tacgen.collection.perturbed import Perturbation, perturbed_object
-from tacgen.collection.randomize import Variation, draw_variation, vary_config
+from tacgen.collection.perturbed import (
+    Perturbation,
+    Variation,
+    draw_variation,
+    perturbed_object,
+    vary_config,
+)
 from tacgen.collection.recipe import Randomize
 from tacgen.core.records import GraspConfig, GraspObject, Mesh, frozen_array
 

@@ -81,12 +81,12 @@ def test_every_array_of_a_shard_is_an_entry_and_the_other_way_round(toy):
 
     layout = Dataset(toy.root).layout
     with h5py.File(toy.shard_path(0)) as file:
-        assert set(paths(file)) == {path for _, _, path in layout.placed()}
-    assert "/tactile/gelsight/depth_mm" not in {path for _, _, path in layout.placed()}
+        assert set(paths(file)) == {one.path for one in layout.placed()}
+    assert "/tactile/gelsight/depth_mm" not in {one.path for one in layout.placed()}
 
 
 def test_names_are_unique_and_say_their_unit():
-    places = [path for _, _, path in Layout("s", ("left", "right")).placed()]
+    places = [one.path for one in Layout("s", ("left", "right")).placed()]
     assert len(set(places)) == len(places)
     for field in FIELDS:
         for unit in ("mm", "n", "rad", "s"):

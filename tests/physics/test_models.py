@@ -14,7 +14,6 @@ from tacgen.core.errors import PhysicsError
 from tacgen.core.records import PADS, Mesh
 from tacgen.core.types import FloatArray, inverse, pose, rotation_of
 from tacgen.physics import GraspSimulator, PhysicsSettings
-from tacgen.physics.bodies import principal_axes
 from tacgen.physics.contacts import Contacts, contacts_of
 from tacgen.physics.engine import TABLE, GripperTarget
 from tacgen.physics.gripper import outline_of
@@ -23,7 +22,7 @@ from tacgen.physics.outcome import Motion, failure_mode, first_slip, label_of
 from tacgen.physics.pybullet_import import require_numpy
 from tacgen.physics.recorder import frame_end_steps
 from tacgen.physics.settings import FrameRequest
-from tacgen.physics.world import ball_of
+from tacgen.physics.world import ball_of, principal_axes
 
 from .conftest import GRAVITY_M_S2, block
 

@@ -18,7 +18,6 @@ from tacgen.core.types import (
     rotation_of,
 )
 from tacgen.physics import engine
-from tacgen.physics.bodies import principal_axes
 from tacgen.physics.engine import TABLE, ContactPoint, Place, Touch, Vector
 from tacgen.physics.gripper import outline_of
 from tacgen.physics.margins import torsion_factor
@@ -34,6 +33,7 @@ from tacgen.physics.mujoco.model import (
 )
 from tacgen.physics.robots import RobotSpec
 from tacgen.physics.settings import PhysicsSettings
+from tacgen.physics.world import principal_axes
 
 LARGEST_STIFFNESS_N_M = 1e6  # of a pad
 SLIP_DAMPING_1_S = 100.0
