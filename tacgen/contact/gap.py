@@ -14,9 +14,9 @@ from tacgen.contact.raster import (
     CellMesh,
     Float64,
     Int32,
+    PixelGrid,
     cut_mesh,
     dome_mm,
-    faces_beside,
     faces_over,
     rasterize,
     whole_mesh,
@@ -173,9 +173,7 @@ class Surround:
         # A power of two, of which images usually are multiples.
         self.pixels = 2 ** max(0, round(math.log2(BESIDE_MM / sensor.mm_per_px)))
         self.pixel_mm = self.pixels * sensor.mm_per_px
-        self._dome_mm = sensor.dome_radius_mm
-        window_mm = np.array([sensor.width_px, sensor.height_px]) * sensor.mm_per_px
-        self._half_window_mm = float(window_mm[0] / 2), float(window_mm[1] / 2)
+        half_window_mm = np.array([sensor.width_px, sensor.height_px]) * sensor.mm_per_px / 2
         size_mm = gel_size_mm(sensor)
         # An even number of pixels, so that the window is whole pixels where it can be.
         columns, rows = (2 * math.ceil(one / (2 * self.pixel_mm) - 1e-6) for one in size_mm)
@@ -183,11 +181,11 @@ class Surround:
         x_mm, y_mm = (self.pixel_mm * (np.arange(n) + 0.5 - n / 2) for n in (columns, rows))
         self.places_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
         away_mm = np.abs(self.places_mm)
-        outside = (away_mm > self._half_window_mm).any(axis=1)
+        outside = (away_mm > half_window_mm).any(axis=1)
         outside &= (away_mm < np.array(size_mm) / 2).all(axis=1)
         self.outside = outside.reshape(self.shape_px)
         square_mm2 = (self.places_mm**2).sum(axis=1).tolist()
-        gel_mm = np.array([dome_mm(one, self._dome_mm) for one in square_mm2])
+        gel_mm = np.array([dome_mm(one, sensor.dome_radius_mm) for one in square_mm2])
         self.gel_mm = gel_mm.reshape(self.shape_px)
         self._depth_mm = np.full(self.shape_px, np.inf)
         self._grains = np.empty(len(gel_mm), np.int32)
@@ -197,23 +195,17 @@ class Surround:
         self.is_there = bool(self.outside.any())
 
     def gaps(
-        self, mesh: CellMesh, pose: Float64, heights_mm: Float64, zero_mm: float, reach_mm: float
+        self, mesh: CellMesh, pose: Float64, zero_mm: float, reach_mm: float
     ) -> tuple[Int32, Int32]:
         """Gaps beyond ``zero_mm`` as of ``GapMapper.beside``, and their places."""
         if self._mesh is not mesh:  # memory for what is posed of it
-            self._mesh = mesh
-            self._posed, self._found = np.empty((3, heights_mm.size)), np.empty_like(mesh.faces)
+            self._mesh, self._posed = mesh, np.empty((3, len(mesh.vertices_mm)))
+            self._found = np.empty_like(mesh.faces)
         posed, found = self._posed, self._found
         limit_mm = zero_mm + reach_mm if np.isfinite(zero_mm) else np.inf
-        count = faces_beside(
-            *(mesh.vertices_mm, mesh.faces, mesh.first, mesh.spheres_mm, mesh.halves_mm),
-            *(pose, self._half_window_mm, self.pixel_mm, self.shape_px, self._dome_mm),
-            *(limit_mm, heights_mm, posed, found),
-        )
-        if not count:
-            return _NONE, _NONE
-        x, y, z = posed
-        drawn = rasterize(x, y, z, found[:count], self.gel_mm, limit_mm, 1, self._depth_mm)
+        grid = PixelGrid(self.pixel_mm, self.shape_px)
+        count = faces_over(mesh, pose, grid, limit_mm, posed, found)
+        drawn = rasterize(posed, found[:count], self.gel_mm, limit_mm, 1, self._depth_mm)
         count = _gather_beside(
             *(self._depth_mm, self.gel_mm, self.outside, drawn, zero_mm, limit_mm),
             *(self._grains, self._places),
@@ -270,11 +262,11 @@ class GapMapper:
         """
         if not self._surround.is_there:
             return _NONE, _NONE
-        columns, rows, heights_mm = self._posed
+        columns, rows, _ = self._posed
         is_whole = len(self._mesh.spheres_mm) == 1  # and all its vertices are posed
         if is_whole and _is_within(columns, rows, self.sensor.shape_px):
             return _NONE, _NONE
-        return self._surround.gaps(self._mesh, self._pose, heights_mm, self._zero_mm, reach_mm)
+        return self._surround.gaps(self._mesh, self._pose, self._zero_mm, reach_mm)
 
     def measure(
         self,
@@ -329,22 +321,21 @@ class GapMapper:
 
     def _faces_over(self, pose_gel_object: Float64) -> Int32:
         """Pose the mesh; the faces over the window."""
-        mesh, posed, found = self._mesh, self._posed, self._faces
-        arrays = (mesh.vertices_mm, mesh.faces, mesh.first, mesh.spheres_mm)
-        view = (pose_gel_object, self.sensor.mm_per_px, self.sensor.shape_px)
-        return found[: faces_over(*arrays, *view, posed, found)]
+        grid = PixelGrid(self.sensor.mm_per_px, self.sensor.shape_px)
+        posed, found = self._posed, self._faces
+        return found[: faces_over(self._mesh, pose_gel_object, grid, np.inf, posed, found)]
 
     def _rasterize(
         self, pose_gel_object: Float64, reach_mm: float
     ) -> tuple[tuple[int, int, int, int], float]:
         gel_mm, depth_mm = self._gel_mm, self._depth_mm
         over = self._faces_over(pose_gel_object)
-        x, y, z = self._posed
+        posed = self._posed
         top, bottom, left, right = self._drawn
         depth_mm[top:bottom, left:right] = np.inf
-        first = rasterize(x, y, z, over, gel_mm, np.inf, FIRST_ROWS, depth_mm)
+        first = rasterize(posed, over, gel_mm, np.inf, FIRST_ROWS, depth_mm)
         limit_mm = _smallest_gap(depth_mm, gel_mm, first, FIRST_ROWS) + reach_mm
-        rest = rasterize(x, y, z, over, gel_mm, limit_mm, 1, depth_mm)
+        rest = rasterize(posed, over, gel_mm, limit_mm, 1, depth_mm)
         self._drawn = (
             min(first[0], rest[0]),
             max(first[1], rest[1]),

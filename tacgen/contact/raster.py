@@ -4,8 +4,7 @@ One thread, float64, no fast-math and no fused operations: the same bits on ever
 """
 
 import math
-from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,20 +18,24 @@ CELL_MM = 4.0  # of a cut mesh: a fifth of a sensor's window, and some 50 faces
 MOST_CELLS = 1024  # along an axis: what lies over 4 m from the mesh's end is in the last cell
 
 
-@dataclass(frozen=True, slots=True)
-class CellMesh:
+class CellMesh(NamedTuple):
     """A mesh cut into cells with vertices of their own: one beside the window is not looked into.
 
     ``vertices_mm`` (n, 3) and ``faces`` (m, 3) lie cell by cell; ``first`` (c + 1, 2) is the first
-    vertex and face of each, ``spheres_mm`` (c, 4) the centre and radius of one around it,
-    ``halves_mm`` (c, 3) half of its extents about that centre.
+    vertex and face of each, ``spheres_mm`` (c, 4) the centre and radius of one around it.
     """
 
     vertices_mm: Float64
     faces: Int32
     first: Int32
     spheres_mm: Float64
-    halves_mm: Float64
+
+
+class PixelGrid(NamedTuple):
+    """Rows and columns of pixels about the middle of the gel."""
+
+    mm_per_px: float
+    shape_px: tuple[int, int]
 
 
 def cut_mesh(vertices_mm: Float64, faces: Int32) -> CellMesh:
@@ -50,19 +53,18 @@ def whole_mesh(vertices_mm: Float64, faces: Int32) -> CellMesh:
     """The mesh as one cell: cutting it pays only where it is used often."""
     first = np.array([[0, 0], [len(vertices_mm), len(faces)]], dtype=np.int32)
     everywhere = np.array([[0.0, 0.0, 0.0, np.inf]])
-    return CellMesh(vertices_mm, faces, first, everywhere, np.full((1, 3), np.inf))
+    return CellMesh(vertices_mm, faces, first, everywhere)
 
 
 @njit(cache=True, nogil=True)
 def _by_cell(
     vertices_mm: Float64, faces: Int32, starts: NDArray[np.int64]
-) -> tuple[Float64, Int32, Int32, Float64, Float64]:
+) -> tuple[Float64, Int32, Int32, Float64]:
     """The fields of a ``CellMesh`` whose cells begin at the faces ``starts`` (the last ends)."""
     n_cells = starts.shape[0] - 1
     cell_of, place_of = np.full(len(vertices_mm), -1), np.empty(len(vertices_mm), np.int32)
     vertices, own = np.empty((3 * len(faces), 3)), np.empty(faces.shape, np.int32)
     first, spheres = np.zeros((n_cells + 1, 2), np.int32), np.empty((n_cells, 4))
-    halves = np.empty((n_cells, 3))
     count = 0
     for cell in range(n_cells):
         for i in range(starts[cell], starts[cell + 1]):
@@ -76,27 +78,24 @@ def _by_cell(
         first[cell + 1, 0], first[cell + 1, 1] = count, starts[cell + 1]
         part = vertices[first[cell, 0] : count]
         for axis in range(3):
-            low, high = part[:, axis].min(), part[:, axis].max()
-            spheres[cell, axis], halves[cell, axis] = (low + high) / 2, (high - low) / 2
+            spheres[cell, axis] = (part[:, axis].min() + part[:, axis].max()) / 2
         offsets = part - spheres[cell, :3]
         spheres[cell, 3] = math.sqrt((offsets * offsets).sum(axis=1).max())
-    return vertices[:count].copy(), own, first, spheres, halves
+    return vertices[:count].copy(), own, first, spheres
 
 
 @njit(cache=True, nogil=True)
 def faces_over(
-    vertices_mm: Float64,
-    faces: Int32,
-    first: Int32,
-    spheres_mm: Float64,
+    mesh: CellMesh,
     pose_gel_object: Float64,
-    mm_per_px: float,
-    shape_px: tuple[int, int],
+    grid: PixelGrid,
+    highest_mm: float,
     posed: Float64,
     found: Int32,
 ) -> int:
-    """Pose a ``CellMesh``; write the faces whose bounding rectangle holds a pixel's centre.
+    """Pose a mesh; write the faces whose bounding rectangle holds a pixel's centre.
 
+    Those all of whose corners are above ``highest_mm`` may be left out.
     ``posed`` (3, n) are the fractional column and row (0 at the first pixel's centre) and z in mm
     of the vertices, but for those of cells beside the window; returns the number of faces found.
 
@@ -104,7 +103,8 @@ def faces_over(
     even the last bit does.
     """
     t = pose_gel_object
-    per_px = 1.0 / mm_per_px
+    vertices_mm, faces, first, spheres_mm = mesh
+    per_px, shape_px = 1.0 / grid.mm_per_px, grid.shape_px
     half_row = 0.5 * shape_px[0] - 0.5
     half_column = 0.5 * shape_px[1] - 0.5
     columns, rows, heights_mm = posed[0], posed[1], posed[2]
@@ -127,6 +127,8 @@ def faces_over(
             heights_mm[i] = t[2, 0] * x + t[2, 1] * y + t[2, 2] * z
         for i in range(first[cell, 1], first[cell + 1, 1]):
             a, b, c = faces[i, 0], faces[i, 1], faces[i, 2]
+            if min(heights_mm[a], heights_mm[b], heights_mm[c]) > highest_mm:
+                continue
             ya, yb, yc = rows[a], rows[b], rows[c]
             low, high = max(0.0, min(ya, yb, yc)), min(shape_px[0] - 1.0, max(ya, yb, yc))
             if low > high or math.ceil(low) > high:
@@ -151,129 +153,8 @@ def dome_mm(square_mm2: float, radius_mm: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _square_beside(
-    bounds_mm: tuple[float, float, float, float],
-    half_window_mm: tuple[float, float],
-    half_gel_mm: tuple[float, float],
-) -> float:
-    """Squared distance from the gel's middle at which a rectangle comes nearest beside the window.
-
-    ``bounds_mm`` are its least and largest x, and y; +inf where it is within the window or beyond
-    the gel.
-    """
-    x_low, x_high, y_low, y_high = bounds_mm
-    near_x, near_y = max(0.0, x_low, -x_high), max(0.0, y_low, -y_high)
-    square = np.inf
-    if near_x > half_gel_mm[0] or near_y > half_gel_mm[1]:
-        return square
-    if max(x_high, -x_low) >= half_window_mm[0]:
-        square = max(near_x, half_window_mm[0]) ** 2 + near_y**2
-    if max(y_high, -y_low) >= half_window_mm[1]:
-        square = min(square, near_x**2 + max(near_y, half_window_mm[1]) ** 2)
-    return square
-
-
-@njit(cache=True, nogil=True)
-def _extent(row: Float64, center: Float64, half: Float64, offset_mm: float) -> tuple[float, float]:
-    """Least and largest coordinate of a box, by its row (3,) of the rotation."""
-    middle = row[0] * center[0] + row[1] * center[1] + row[2] * center[2] + offset_mm
-    reach = abs(row[0]) * half[0] + abs(row[1]) * half[1] + abs(row[2]) * half[2]
-    return middle - reach, middle + reach
-
-
-@njit(cache=True, nogil=True)
-def _is_away(
-    center: Float64,
-    half: Float64,
-    t: Float64,
-    half_window_mm: tuple[float, float],
-    half_gel_mm: tuple[float, float],
-    dome_radius_mm: float,
-    gap_limit_mm: float,
-) -> bool:
-    """Whether a posed box is further above the gel than that, or not beside the window."""
-    low_mm = _extent(t[2], center, half, 0.0)[0]
-    if low_mm > gap_limit_mm:
-        return True
-    x, y = _extent(t[0], center, half, t[0, 3]), _extent(t[1], center, half, t[1, 3])
-    square = _square_beside((x[0], x[1], y[0], y[1]), half_window_mm, half_gel_mm)
-    return square == np.inf or low_mm - dome_mm(square, dome_radius_mm) > gap_limit_mm
-
-
-@njit(cache=True, nogil=True)
-def faces_beside(
-    vertices_mm: Float64,
-    faces: Int32,
-    first: Int32,
-    spheres_mm: Float64,
-    halves_mm: Float64,
-    pose_gel_object: Float64,
-    half_window_mm: tuple[float, float],
-    pixel_mm: float,
-    shape_px: tuple[int, int],
-    dome_radius_mm: float,
-    gap_limit_mm: float,
-    heights_mm: Float64,
-    posed: Float64,
-    found: Int32,
-) -> int:
-    """Pose and write the faces of a ``CellMesh`` that may touch the gel around the window.
-
-    ``half_window_mm`` are half the window's width and height. ``heights_mm`` (n,) are the vertices'
-    z as ``faces_over`` poses them; those of a cut mesh are posed here. ``posed`` (3, n) are written
-    for the corners of ``found``: column and row on a grid of ``shape_px`` (rows, columns) pixels of
-    ``pixel_mm`` over the whole gel, and z. What is everywhere further than ``gap_limit_mm`` above
-    the gel at rest there is left out. Returns the number of faces.
-    """
-    t, box, corners = pose_gel_object, np.empty(4), np.empty((3, 2))
-    half_gel_mm = 0.5 * shape_px[1] * pixel_mm, 0.5 * shape_px[0] * pixel_mm
-    # The gel beside the window is highest where that is narrowest.
-    top_mm = dome_mm(min(half_window_mm[0], half_window_mm[1]) ** 2, dome_radius_mm)
-    count = 0
-    for cell in range(spheres_mm.shape[0]):
-        is_cut = spheres_mm[cell, 3] < np.inf
-        center, half = spheres_mm[cell], halves_mm[cell]
-        if is_cut and _is_away(
-            center, half, t, half_window_mm, half_gel_mm, dome_radius_mm, gap_limit_mm
-        ):
-            continue
-        for i in range(first[cell, 1], first[cell + 1, 1]):
-            low_mm = np.inf
-            for j in range(3):
-                k = faces[i, j]
-                if is_cut:
-                    p = vertices_mm[k]
-                    heights_mm[k] = t[2, 0] * p[0] + t[2, 1] * p[1] + t[2, 2] * p[2]
-                low_mm = min(low_mm, heights_mm[k])
-            if low_mm - top_mm > gap_limit_mm:
-                continue
-            box[0], box[1], box[2], box[3] = np.inf, -np.inf, np.inf, -np.inf
-            for j in range(3):
-                p = vertices_mm[faces[i, j]]
-                for axis in range(2):
-                    place = t[axis, 0] * p[0] + t[axis, 1] * p[1] + t[axis, 2] * p[2] + t[axis, 3]
-                    corners[j, axis] = place
-                    box[2 * axis] = min(box[2 * axis], place)
-                    box[2 * axis + 1] = max(box[2 * axis + 1], place)
-            bounds = (box[0], box[1], box[2], box[3])
-            square = _square_beside(bounds, half_window_mm, half_gel_mm)
-            if square == np.inf or low_mm - dome_mm(square, dome_radius_mm) > gap_limit_mm:
-                continue
-            for j in range(3):
-                k = faces[i, j]
-                posed[0, k] = (corners[j, 0] + half_gel_mm[0]) / pixel_mm - 0.5
-                posed[1, k] = (corners[j, 1] + half_gel_mm[1]) / pixel_mm - 0.5
-                posed[2, k] = heights_mm[k]
-                found[count, j] = k
-            count += 1
-    return count
-
-
-@njit(cache=True, nogil=True)
 def rasterize(
-    columns: Float64,
-    rows: Float64,
-    heights_mm: Float64,
+    posed: Float64,
     faces: Int32,
     gel_mm: Float64,
     gap_limit_mm: float,
@@ -282,12 +163,14 @@ def rasterize(
 ) -> tuple[int, int, int, int]:
     """Lower ``depth_mm`` (H, W) to the nearest surface over pixels' centres in ``every`` n-th row.
 
+    ``posed`` (3, n) are columns, rows and z in mm of the vertices, as ``faces_over`` writes them.
     Triangles that lie outside the window, or everywhere further than ``gap_limit_mm`` above the
     gel at rest ``gel_mm`` (H, W), are left out. An edge belongs to both of its triangles, and both
     compute its crossing with a row from the same numbers, so that no pixel falls between them.
     Returns the half-open rectangle (top, bottom, left, right) of pixels that was touched; empty
     where top >= bottom.
     """
+    columns, rows, heights_mm = posed[0], posed[1], posed[2]
     n_rows, n_columns = depth_mm.shape
     top, bottom, left, right = n_rows, 0, n_columns, 0
     for i in range(faces.shape[0]):

@@ -26,7 +26,7 @@ of it, is taken to be k_s F_s wherever the contact is.
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,6 +71,39 @@ class ShearState:
     seen: Float64
 
 
+class Lattice(NamedTuple):
+    """The points at which a field is solved, with a margin of one around them.
+
+    ``x_mm`` and ``y_mm`` are those of columns and rows, about the contact's middle; ``stiff``
+    (rows, columns, 2) is the sheet's own stiffness of a point, ``squares`` (rows, columns) 1 for
+    each square of four points (above and left of the point of its place), on which ∇ · w is taken.
+    ``alpha`` is ℓ² over the square of their distance, ``over`` the factor of over-relaxation.
+    """
+
+    x_mm: Float64
+    y_mm: Float64
+    stiff: Float64
+    squares: Float64
+    alpha: float
+    over: float
+
+
+class Sheet(NamedTuple):
+    """What is solved for on a ``Lattice``, with its margin, which is 0.
+
+    ``w`` and ``traction`` (rows, columns, 2) and ``sticks`` (rows, columns) are written; those of
+    before are of the frame before. ``limit`` (rows, columns) is μ p, negative where nothing
+    touches.
+    """
+
+    w: Float64
+    traction: Float64
+    sticks: NDArray[np.bool_]
+    w_before: Float64
+    traction_before: Float64
+    limit: Float64
+
+
 @njit(cache=True, nogil=True)
 def weighted(weight: Float64, values: Float64) -> Float64:
     """Sums (n,) of values (rows, columns, n) by their weights, the same on every processor."""
@@ -91,30 +124,15 @@ def _add(sums: Float64, k: float, x: float, y: float) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _sweep(
-    sheet: Float64,
-    traction: Float64,
-    sticks: NDArray[np.bool_],
-    sheet_before: Float64,
-    traction_before: Float64,
-    limit: Float64,
-    stiff: Float64,
-    squares: Float64,
-    x_mm: Float64,
-    y_mm: Float64,
-    slide: Float64,
-    alpha: float,
-    over: float,
-    sums: Float64,
-) -> float:
+def _sweep(of: Sheet, lattice: Lattice, slide: Float64, sums: Float64) -> float:
     """One pass of successive over-relaxation over the lattice; returns the largest change.
 
-    Arrays have a margin of one, which is 0. ``limit`` is μ p, negative where nothing touches;
-    ``stiff`` the sheet's own stiffness of a point, ``squares`` 1 for each square of four points
-    (above and left of the point of its place), on which ∇ · w is taken. ``sums`` (11,) gets Σ t_x,
-    Σ t_y, Σ r × t, and for the points that touch Σ k, Σ k x, Σ k y, Σ k r² of their stiffness
-    against the object alone, and the same when the sheet moves with it where it sticks.
+    ``slide`` (3,) is the object's motion. ``sums`` (11,) gets Σ t_x, Σ t_y, Σ r × t, and for the
+    points that touch Σ k, Σ k x, Σ k y, Σ k r² of their stiffness against the object alone, and the
+    same when the sheet moves with it where it sticks.
     """
+    sheet, traction, sticks, sheet_before, traction_before, limit = of
+    x_mm, y_mm, stiff, squares, alpha, over = lattice
     most, beta = 0.0, 0.25 * (AHEAD - 1.0) * alpha
     sums[:] = 0.0
     for r in range(1, limit.shape[0] - 1):
@@ -142,10 +160,9 @@ def _sweep(
             wy = (own * y0 + alpha * (ya + yb + yl + yr) - beta * (al + ar - bl - br)) * each_y
             if limit[r, c] >= 0.0:
                 x, y = x_mm[c], y_mm[r]
-                alone = 1.0 / (SKIN + (1.0 - SKIN) * max(each_x, each_y))
                 alone_x = 1.0 / (SKIN + (1.0 - SKIN) * each_x)
                 alone_y = 1.0 / (SKIN + (1.0 - SKIN) * each_y)
-                along = alone
+                alone = along = min(alone_x, alone_y)
                 ahead_x = slide[0] - slide[2] * y + sheet_before[r, c, 0] - wx
                 ahead_y = slide[1] + slide[2] * x + sheet_before[r, c, 1] - wy
                 tx = (SKIN * traction_before[r, c, 0] + ahead_x) * alone_x
@@ -166,8 +183,7 @@ def _sweep(
                 _add(sums[3:7], alone, x, y)
                 _add(sums[7:], along, x, y)
             wx, wy = over * (wx - x0), over * (wy - y0)
-            sheet[r, c, 0] += wx
-            sheet[r, c, 1] += wy
+            sheet[r, c, 0], sheet[r, c, 1] = x0 + wx, y0 + wy
             most = max(most, abs(wx), abs(wy))
     return most
 
@@ -183,35 +199,18 @@ def _rigid(off: Float64, k: Float64, least_spin: float, out: Float64) -> None:
 
 @njit(cache=True, nogil=True)
 def _solve(
-    sheet: Float64,
-    traction: Float64,
-    sticks: NDArray[np.bool_],
-    sheet_before: Float64,
-    traction_before: Float64,
-    limit: Float64,
-    stiff: Float64,
-    squares: Float64,
-    x_mm: Float64,
-    y_mm: Float64,
-    load: Float64,
-    arm_mm: float,
-    alpha: float,
-    over: float,
-    tolerance: float,
-    slide: Float64,
+    of: Sheet, lattice: Lattice, load: Float64, arm_mm: float, tolerance: float, slide: Float64
 ) -> int:
     """Sweeps until force and moment ``load`` (3,), N/mm² and N/mm, are those of the tractions.
 
     After each, the object is moved by what force and moment lack: in turn by itself, and together
     with the sheet under the points that stick. Both lower the energy, as each sweep does.
     """
+    sheet, sticks = of.w, of.sticks
     sums, off, motion = np.zeros(11), np.zeros(3), np.zeros(3)
     size = math.sqrt(load[0] ** 2 + load[1] ** 2 + (load[2] / arm_mm) ** 2)
     for sweep in range(MOST_SWEEPS):
-        most = _sweep(
-            *(sheet, traction, sticks, sheet_before, traction_before, limit, stiff, squares),
-            *(x_mm, y_mm, slide, alpha, over, sums),
-        )
+        most = _sweep(of, lattice, slide, sums)
         off[:] = load - sums[:3]
         wrong = math.sqrt(off[0] ** 2 + off[1] ** 2 + (off[2] / arm_mm) ** 2)
         if wrong <= tolerance * size and most <= tolerance * np.abs(sheet).max():
@@ -223,8 +222,8 @@ def _solve(
             for r in range(sheet.shape[0]):
                 for c in range(sheet.shape[1]):
                     if sticks[r, c]:
-                        sheet[r, c, 0] += motion[0] - motion[2] * y_mm[r]
-                        sheet[r, c, 1] += motion[1] + motion[2] * x_mm[c]
+                        sheet[r, c, 0] += motion[0] - motion[2] * lattice.y_mm[r]
+                        sheet[r, c, 1] += motion[1] + motion[2] * lattice.x_mm[c]
     return MOST_SWEEPS
 
 
@@ -235,8 +234,9 @@ class ShearField:
     up to rounding. ``nodes_mm`` (rows, columns, 2) are their places x, y. D is summed over
     ``markers_mm`` (n, 2), which stand ``marker_pitch_mm`` apart; None: ∫ u dA over the window.
 
-    ``stiff``, ``squares``, ``alpha`` and ``over`` are as ``_sweep`` takes them, ``shown`` (rows,
-    columns, 2) is the part of a force at each node that the sum has of it.
+    ``stiff``, ``squares``, ``alpha`` and ``over`` are those of its ``Lattice``, ``shown`` (rows,
+    columns, 2) is the part of a force at each node that the sum has of it. ``tolerance`` is that of
+    force and motion to which a frame is solved.
     """
 
     def __init__(
@@ -251,7 +251,7 @@ class ShearField:
         rows = max(1, round(height_mm / lattice_mm))
         columns = max(1, round(width_mm / lattice_mm))
         self.shape = rows, columns
-        self.lattice_mm, self.decay_mm = lattice_mm, decay_mm
+        self.lattice_mm, self.decay_mm, self.tolerance = lattice_mm, decay_mm, TOLERANCE
         self._x_mm = (np.arange(columns) - (columns - 1) / 2) * lattice_mm
         self._y_mm = (np.arange(rows) - (rows - 1) / 2) * lattice_mm
         self.nodes_mm = np.stack(np.meshgrid(self._x_mm, self._y_mm), axis=-1)
@@ -291,14 +291,15 @@ class ShearField:
         sheet, held, still = (_wide(np.zeros((*self.shape, 2))) for _ in range(3))
         slide[axis] = 1e9  # far beyond what friction holds: what slips is pulled by the limit
         across = np.zeros(max(pull.shape))
+        lattice = self._lattice(across, across)
+        of = Sheet(sheet, held, pull < 0, still, still, pull)
         for _ in range(MOST_SWEEPS):
-            most = _sweep(
-                *(sheet, held, pull < 0, still, still, pull, self.stiff, self.squares),
-                *(across, across, slide, self.alpha, self.over, sums),
-            )
-            if most < TOLERANCE:
+            if _sweep(of, lattice, slide, sums) < TOLERANCE:
                 break
         return np.asarray(sheet[1:-1, 1:-1, axis] + SKIN * counted)
+
+    def _lattice(self, x_mm: Float64, y_mm: Float64) -> Lattice:
+        return Lattice(x_mm, y_mm, self.stiff, self.squares, self.alpha, self.over)
 
     def step(
         self,
@@ -308,7 +309,6 @@ class ShearField:
         center_mm: Float64,
         friction: float,
         before: ShearState | None = None,
-        tolerance: float = TOLERANCE,
     ) -> ShearState:
         """The state after one more frame.
 
@@ -348,11 +348,9 @@ class ShearField:
         slide = np.zeros(3)
         if before is not None or load.any():
             lever_mm = max(float(arm / total), self.lattice_mm)
-            _solve(
-                *(sheet, held, sticks, _wide(start.sheet), _wide(start.held), _wide(limit)),
-                *(self.stiff, self.squares, np.pad(x_mm, 1), np.pad(y_mm, 1), within, lever_mm),
-                *(self.alpha, self.over, tolerance, slide),
-            )
+            of = Sheet(sheet, held, sticks, _wide(start.sheet), _wide(start.held), _wide(limit))
+            lattice = self._lattice(np.pad(x_mm, 1), np.pad(y_mm, 1))
+            _solve(of, lattice, within, lever_mm, self.tolerance, slide)
         sheet, held, sticks = (one[1:-1, 1:-1] for one in (sheet, held, sticks))
         # What the sweeps, or friction, leave of the force acts as the pressure does.
         share = pressure / total

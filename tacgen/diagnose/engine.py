@@ -53,6 +53,10 @@ class Problem(ABC, Generic[C, S]):
     def accepts(self, full: S, member: C) -> bool:
         """Whether the tests call for ``member`` beside the others."""
 
+    def admits(self, _found: S) -> bool:
+        """Whether the data fix what was fitted: a set with free numbers is not taken."""
+        return True
+
     def form(self, candidate: C) -> object:
         """Its function: candidates of one form differ only in where their fit starts."""
         return id(candidate)
@@ -124,7 +128,7 @@ def first_accepted(problem: Problem[C, S], ends: Sequence[S], least: float) -> S
     for end in problem.ordered(ends):
         if problem.score(end) < least:
             remaining = pruned(problem, end)
-            if problem.score(remaining) < least:
+            if problem.score(remaining) < least and problem.admits(remaining):
                 return remaining
     return None
 

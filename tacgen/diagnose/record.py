@@ -11,7 +11,6 @@ from tacgen.core.files import write_text
 from tacgen.report.formatting import unit_text
 
 SCHEMA = 1  # of diagnosis.json; a key that changes its meaning makes it 2
-CLEARLY_MORE = 1.5  # times the noise floor: the residual is no longer called noise
 Verdict = Literal["sufficient", "effect_found", "unexplained"]
 VERDICTS: tuple[Verdict, ...] = ("unexplained", "effect_found", "sufficient")
 
@@ -60,11 +59,6 @@ class Summary:
         floor = f"noise floor {self.floor:.3g} {unit}"
         if self.verdict == "sufficient":
             times = f"{self.before / self.floor:.2f} times the " if self.floor > 0 else ""
-            if self.before > CLEARLY_MORE * self.floor:
-                return (
-                    f"{self.subject} is off by {error}, {times}{floor}, and nothing that was "
-                    "looked at explains it."
-                )
             return (
                 f"{self.subject} is sufficient: nothing that was looked at explains more of the "
                 f"error, {error}, {times}{floor}."

@@ -52,6 +52,9 @@ class ContactRules(SearchRules):
     min_gain: float = 0.02  # least share of an effect, a seventh of the noise in amplitude
     few_min_gain: float = 0.1  # min_gain where trials are few
 
+    max_error_of_compliance: float = 0.5  # standard errors over the value: k_n is then no figure
+    max_error_of_time: float = 1.0  # the same of a time or a limit: another would do as well
+
     min_trials_of_part: int = 4  # fewer say nothing together; of so few, parts are folds
     local_price: float = 0.05  # share by which an effect in a part must beat what acts everywhere
     parts_of_side: int = 10  # in which all forms of a local effect are tried
@@ -66,6 +69,12 @@ class ContactRules(SearchRules):
 
     # What remains
     form_share_left: float = 0.06  # of what is explained, that inexact formulas may leave
+    clearly_more: float = 2.0  # times the noise floor, of the error on held-out trials: more is no
+    # noise, whether a column explains it or not
+    exact_share: float = 0.01  # of what is measured: a smaller error is no fault of a law
+    share_of_presses: float = 0.3  # of such a residual's squares, that a gain and a zero of each
+    # trial explain: it differs from press to press
+    own_block: int = 8  # rows, that are fitted or scored together then: noise hardly lasts longer
     share_of_one_trial: float = 0.5  # of the residual in one trial: that is worth a look
     max_explanations: int = 8  # of a channel, by held-out score, that next presses separate
 

@@ -40,7 +40,7 @@ def in_light_of(image: FloatArray, rest: FloatArray, *, is_tilted: bool = False)
 
 
 @dataclass(frozen=True, slots=True)
-class Imprint:
+class OddPatch:
     """A compact patch in which bare gel differs: ``center_px`` (x, y), radius of its area."""
 
     center_px: FloatArray
@@ -56,7 +56,7 @@ class Imprint:
         )
 
 
-def press_in_background(rest: FloatArray, known: FloatArray) -> Imprint | None:
+def press_in_background(rest: FloatArray, known: FloatArray) -> OddPatch | None:
     """The press that a gel at rest (h, w, 3) shows beside the one that is ``known`` (h, w, 3)."""
     seen = np.ones(rest.shape[:2])
     return drift_of(rest - known, known, seen, falls_outwards=True).imprint
@@ -79,7 +79,7 @@ class Drift:
     gain_stderr: FloatArray
     bare: BoolArray
     unlike_grey: float
-    imprint: Imprint | None
+    imprint: OddPatch | None
 
 
 def drift_of(
@@ -146,7 +146,7 @@ def drift_of(
     return Drift(added, offset, field, stderr, np.asarray(nearest > 0), usual, imprint)
 
 
-def _imprint_in(left: FloatArray, usual: float, px: float) -> Imprint | None:
+def _imprint_in(left: FloatArray, usual: float, px: float) -> OddPatch | None:
     """The imprint in what differs (h, w), grey levels, on pixels of ``px`` of the picture's."""
     patches, count = label(left)
     if not count:
@@ -159,7 +159,7 @@ def _imprint_in(left: FloatArray, usual: float, px: float) -> Imprint | None:
     if squares.max() < IMPRINT_SHARE * squares.sum():
         return None
     center = np.argwhere(patch).mean(axis=0)[::-1]
-    return Imprint((center + 0.5) * px - 0.5, float(np.sqrt(patch.sum() / np.pi)) * px, grey)
+    return OddPatch((center + 0.5) * px - 0.5, float(np.sqrt(patch.sum() / np.pi)) * px, grey)
 
 
 def _columns(rest: FloatArray) -> FloatArray:

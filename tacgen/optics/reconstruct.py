@@ -71,7 +71,7 @@ steeper, a pixel's height exceeds its width twice over."""
 
 
 @dataclass(frozen=True, slots=True)
-class Imprint:
+class SunkenObject:
     """How deep an object is below the gel at rest, ``depth_mm`` (h, w), 0 where it is not.
 
     Where ``seen`` (h, w) the gel's surface shows it; elsewhere it is continued.
@@ -108,7 +108,7 @@ class Shape:
         """Whether depth and volume are at least so large, behind walls too steep for the table."""
         return self.unknown_share > MOST_AT_STEEPEST
 
-    def imprint(self, least_mm: float = 0.0) -> Imprint:
+    def imprint(self, least_mm: float = 0.0) -> SunkenObject:
         """The object's imprint, of contacts deeper than ``least_mm`` and than the level's error.
 
         The gel sinks around a contact without touching the object. So the surface is taken as it is
@@ -125,14 +125,14 @@ class Shape:
             one = _continued(surface, patches == patch, least_mm)
             np.maximum(depth, one.depth_mm, out=depth)
             seen |= one.seen
-        return Imprint(depth, seen)
+        return SunkenObject(depth, seen)
 
     @property
     def volume_mm3(self) -> float:
         """Volume that the object fills below the gel at rest."""
         return float(self.imprint().depth_mm.sum()) * self.mm_per_px**2
 
-    def volume_stderr_mm3(self, imprint: Imprint | None = None) -> float:
+    def volume_stderr_mm3(self, imprint: SunkenObject | None = None) -> float:
         """Standard error of an imprint's volume.
 
         What the table does not explain is alike over a contact: slopes, and with them the volume,
@@ -359,7 +359,7 @@ class Reconstructor:
         return cKDTree(np.column_stack([colors, flatness])), nodes
 
 
-def _continued(surface: FloatArray, patch: BoolArray, least_mm: float) -> Imprint:
+def _continued(surface: FloatArray, patch: BoolArray, least_mm: float) -> SunkenObject:
     """A surface (h, w) as it is inside the rim of a contact, continued to level 0 outside.
 
     ``patch`` (h, w) is what of the contact is deeper than ``least_mm``.
@@ -377,7 +377,7 @@ def _continued(surface: FloatArray, patch: BoolArray, least_mm: float) -> Imprin
         distance = distance_transform_edt(~inside).ravel()[outside]
         nearest = outside[np.argsort(distance, kind="stable")[:beyond]]
         depth.flat[nearest] = rim * (1.0 - (np.arange(beyond) + 0.5) / (growth * rim))
-    return Imprint(depth, np.asarray(inside))
+    return SunkenObject(depth, np.asarray(inside))
 
 
 def _rim_mm(surface: FloatArray, least_mm: float) -> float:

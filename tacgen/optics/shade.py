@@ -1,7 +1,7 @@
 """The look-up itself: from the slope of the gel and the place in the image to grey levels."""
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,38 @@ from tacgen.optics.vector import NODE_FLOATS, blend_nodes, blend_places
 N_FEATURES = 6  # x², y², xy, x, y, 1 in image position, Taxim's order
 _LANES = NODE_FLOATS // N_FEATURES
 CACHE_LINE_FLOATS = 16
+
+
+class QuadraticNodes(NamedTuple):
+    """A quadratic in position made ready for images of ``background`` (H, W, 3).
+
+    ``nodes`` are ``packed_nodes``; ``u`` (W,) and ``v`` (H,) float32 are the places of columns and
+    rows in the image.
+    """
+
+    mm_per_px: float
+    nodes: NDArray[Any]
+    max_slope_rad: float
+    interpolate: bool
+    u: NDArray[Any]
+    v: NDArray[Any]
+    background: NDArray[Any]
+
+
+class ResponseNodes(NamedTuple):
+    """A response made ready for images of ``background`` (H, W, 3).
+
+    ``response`` is a ``packed_response`` and ``contact`` a ``packed_contact``; ``rest_mm`` (H, W)
+    is the gel at rest, gel frame.
+    """
+
+    mm_per_px: float
+    response: NDArray[Any]
+    max_slope_rad: float
+    background: NDArray[Any]
+    rest_mm: NDArray[Any]
+    contact: NDArray[Any]
+    contact_depth_mm: float
 
 
 def packed_nodes(coefficients: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -82,13 +114,13 @@ def _atan_of_quotient(numerator, denominator):  # type: ignore[no-untyped-def]
 def _gradients(
     height_mm: NDArray[Any],
     r: int,
-    left: int,
-    right: int,
+    span: NDArray[Any],
     mm_per_px: float,
     gx: NDArray[Any],
     gy: NDArray[Any],
 ) -> None:
-    """Slopes along x and y of the pixels [left, right) of row r, by central differences."""
+    """Slopes along x and y of the pixels of a span [left, right) of row r: central differences."""
+    left, right = span
     n_rows, n_columns = height_mm.shape
     above, below = max(r - 1, 0), min(r + 1, n_rows - 1)
     per_row = np.float32(1.0 / (mm_per_px * (below - above))) if below > above else np.float32(0)
@@ -167,13 +199,16 @@ def _to_coordinates(
 def _place_in_table(
     slope: NDArray[Any],
     direction: NDArray[Any],
-    n_slope: int,
-    n_direction: int,
+    shape: tuple[int, int],
     interpolate: bool,
     node_floats: int,
     offset: NDArray[Any],
 ) -> None:
-    """Turn coordinates into the node below (its offset) and the shares of the next ones."""
+    """Turn coordinates into the node below (its offset) and the shares of the next ones.
+
+    ``shape`` is the table's number of slopes and of directions.
+    """
+    n_slope, n_direction = shape
     last_slope = np.int32(n_slope - 2 if interpolate else n_slope - 1)
     last_direction = np.int32(n_direction - 1)
     row_length = np.int32((n_direction + 1) * node_floats)
@@ -273,21 +308,15 @@ def shade_window(
     window: Window,
     spans: NDArray[Any],
     image: NDArray[Any],
-    mm_per_px: float,
-    nodes: NDArray[Any],
-    max_slope_rad: float,
-    interpolate: bool,
-    u: NDArray[Any],
-    v: NDArray[Any],
-    background: NDArray[Any],
+    ready: QuadraticNodes,
 ) -> None:
     """Write background + polynomial into ``image`` (H, W, 3) float32, in the spans of ``window``.
 
-    ``height_mm`` (H, W) is the deformed gel surface, gel frame; ``nodes`` are ``packed_nodes``;
-    ``u`` (W,) and ``v`` (H,) float32 are the places of columns and rows in the image.
+    ``height_mm`` (H, W) is the deformed gel surface, gel frame.
     """
+    mm_per_px, nodes, max_slope_rad, interpolate, u, v, background = ready
     top, bottom = window[:2]
-    n_slope, n_direction = nodes.shape[0], nodes.shape[1] - 1
+    n_slope, n_direction = shape = nodes.shape[0], nodes.shape[1] - 1
     table = nodes.reshape(-1)
     widest = window[3] - window[2]
     slopes, directions = np.empty(widest, np.float32), np.empty(widest, np.float32)
@@ -303,9 +332,9 @@ def shade_window(
         if width == 0:
             continue
         slope, direction = slopes[:width], directions[:width]
-        _gradients(height_mm, r, left, right, mm_per_px, direction, slope)
+        _gradients(height_mm, r, spans[r - top], mm_per_px, direction, slope)
         _to_coordinates(direction, slope, per_slope, per_direction)
-        _place_in_table(slope, direction, n_slope, n_direction, interpolate, NODE_FLOATS, offset)
+        _place_in_table(slope, direction, shape, interpolate, NODE_FLOATS, offset)
         across, down = u[left:right], v[r]
         for k in range(width):
             p, q, here = slope[k], direction[k], np.int64(offset[k])
@@ -334,22 +363,16 @@ def shade_response(
     window: Window,
     spans: NDArray[Any],
     image: NDArray[Any],
-    mm_per_px: float,
-    response: NDArray[Any],
-    max_slope_rad: float,
-    background: NDArray[Any],
-    rest_mm: NDArray[Any],
-    contact: NDArray[Any],
-    contact_depth_mm: float,
+    ready: ResponseNodes,
 ) -> None:
     """Write background + response + contact into ``image`` (H, W, 3), in the spans of ``window``.
 
-    ``height_mm`` (H, W) is the deformed gel surface, gel frame, and ``rest_mm`` the gel at rest;
-    ``response`` is a ``packed_response`` and ``contact`` a ``packed_contact``.
+    ``height_mm`` (H, W) is the deformed gel surface, gel frame.
     """
+    mm_per_px, response, max_slope_rad, background, rest_mm, contact, contact_depth_mm = ready
     top, bottom = window[:2]
     n_rows, n_columns = response.shape[0], response.shape[1]
-    n_slope, n_direction = response.shape[2], response.shape[3] - 1
+    n_slope, n_direction = shape = response.shape[2], response.shape[3] - 1
     to_slope = (n_direction + 1) * _LANES
     to_column = n_slope * to_slope
     to_row = n_columns * to_column
@@ -380,7 +403,7 @@ def shade_response(
         for k in range(here_in_contact.shape[0]):
             above, below = contact[row, k], contact[row + 1, k]
             here_in_contact[k] = above + down * (below - above)
-        _gradients(height_mm, r, left, right, mm_per_px, direction, slope)
+        _gradients(height_mm, r, spans[r - top], mm_per_px, direction, slope)
         _contact_row(
             height_mm[r, left:right],
             rest_mm[r, left:right],
@@ -393,7 +416,7 @@ def shade_response(
             in_contact,
         )
         _to_coordinates(direction, slope, per_slope, per_direction)
-        _place_in_table(slope, direction, n_slope, n_direction, True, _LANES, offset)
+        _place_in_table(slope, direction, shape, True, _LANES, offset)
         for k in range(width):
             p, q = slope[k], across[k]
             here = np.int64(offset[k]) + row * to_row + column[k] * to_column

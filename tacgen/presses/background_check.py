@@ -110,7 +110,7 @@ def _contact_in_background(presses: PressImages) -> list[str]:
     Where presses overlap, the median shows a faint contact too: only one as strong as theirs,
     while theirs lie elsewhere, is a press.
 
-    Raises ``PressError`` where the presses prove it: see ``ALIKE_AT_REST``.
+    Raises ``PressError`` where presses prove it that show the gel there alike.
     """
     chosen = presses.images[:: max(1, len(presses) // 15)]
     median = np.asarray(np.median(chosen, axis=0), dtype=np.uint8)

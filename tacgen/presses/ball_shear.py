@@ -27,11 +27,12 @@ class Place:
 
 
 class BallShear:
-    """The shear field of one sensor's gel under balls; ``decay_mm`` as of ``ShearField``."""
+    """The shear field of one sensor's gel under balls; arguments as of ``ShearField``."""
 
-    def __init__(self, sensor: Sensor, decay_mm: float) -> None:
+    def __init__(self, sensor: Sensor, decay_mm: float, tolerance: float = TOLERANCE) -> None:
         gel = GelShear(sensor)
         self.field, self.cell_mm2 = gel.field(decay_mm), gel.cell_mm2
+        self.field.tolerance = tolerance
         self._fine = GelLattice.of(sensor, EVERY)
         # The node that each point of the fine grid is nearest to.
         nodes = self.field.nodes_mm
@@ -67,7 +68,6 @@ class BallShear:
         force_n: FloatArray,
         friction: float,
         place: Place | None = None,
-        tolerance: float = TOLERANCE,
     ) -> FloatArray:
         """Motion (T, n, 2) of points per compliance, N/mm², over the frames of one press.
 
@@ -87,6 +87,6 @@ class BallShear:
             center = np.asarray(self.middle_mm(map_n), np.float64)
             limit = np.asarray(map_n * factor, np.float64)
             pull = np.asarray(force, np.float64)
-            state = self.field.step(limit, pull, 0.0, center, friction, state, tolerance)
+            state = self.field.step(limit, pull, 0.0, center, friction, state)
             out[frame] = self.field.motion_mm(state, points, 1.0)
         return out

@@ -17,8 +17,6 @@ from tacgen.core.types import BoolArray, FloatArray, IntArray
 from tacgen.presses.press_images import PressImages
 from tacgen.presses.rules import IMAGES
 
-ROWS_AT_ONCE = 1000  # of the matrix of pictures against pictures
-
 
 def experiments_of(presses: PressImages) -> IntArray:
     """Number of the press (N,) that each picture is of, from 0, in order of appearance."""
@@ -111,8 +109,8 @@ def _alike(images: Iterable[NDArray[np.uint8]], background: NDArray[np.uint8]) -
     flat = changes.reshape(len(changes), -1)
     power = (flat**2).sum(axis=1)
     found = []
-    for start in range(0, len(flat), ROWS_AT_ONCE):
-        rows = slice(start, start + ROWS_AT_ONCE)
+    for start in range(0, len(flat), IMAGES.rows_at_once):
+        rows = slice(start, start + IMAGES.rows_at_once)
         apart = power[rows, None] + power - 2 * flat[rows] @ flat.T
         same: BoolArray = apart < IMAGES.alike_press_share**2 * np.minimum(power[rows, None], power)
         one, other = np.nonzero(same)

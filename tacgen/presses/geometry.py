@@ -14,10 +14,6 @@ MAX_RADIUS_SHARE = 0.98
 """Largest contact radius as a share of the ball's radius: at 1 the gel would stand upright."""
 MAX_CAP_SHARE = 0.9999  # largest radius, as a share of the ball's, at which its cap has a slope
 
-_TAIL_DECAYS = 8.0
-"""After so many decay lengths a thousandth of the depth outside the contact is left out."""
-_DEPTH_POINTS = 200  # points along a radius that a depth is summed over
-
 
 @dataclass(frozen=True, slots=True)
 class Membrane:
@@ -96,9 +92,7 @@ class PressedGel:
         per_mm = self.radial_slope(r) / np.maximum(r, 1e-12)
         return per_mm * dx_mm, per_mm * dy_mm
 
-    def depth(
-        self, r_mm: FloatArray, points: int = _DEPTH_POINTS, decays: float = _TAIL_DECAYS
-    ) -> FloatArray:
+    def depth(self, r_mm: FloatArray, points: int = 200, decays: float = 8.0) -> FloatArray:
         """Depth below the gel at rest, mm: 0 far away, positive under the ball.
 
         The slope is summed over ``points`` along the radius, up to ``decays`` decay lengths outside

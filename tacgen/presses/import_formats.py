@@ -30,18 +30,12 @@ from tacgen.presses.rules import IMAGES
 
 GS_SDK_MM_PER_PX = 0.0634
 """GelSight Mini at 320 × 240 px, from gs_sdk's ``gsmini.yaml`` (called ``ppmm`` there)."""
-MAX_ABOUT_BYTES = 1 << 20  # of a file with a few numbers
-MAX_BACKGROUND_PICTURES = 101
-"""Pictures whose median stands in for a background: more change no grey level."""
-LABEL_OFF = 0.2
-"""A derived circle is contradicted where radius or centre are off by this share of the circle that
-the picture shows: on pressed balls that one is 3 to 6 % wide and its centre within 2 %."""
 
 Parts = tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Press:
+class ForeignPress:
     """One press of a foreign set; ``rgb`` (H, W, 3) uint8, places in pixels, y down."""
 
     name: str
@@ -54,7 +48,7 @@ class PressSet:
     """What a reader of a foreign format found; pictures are read as ``presses`` is run through."""
 
     background_rgb: NDArray[np.uint8]
-    presses: Iterable[Press]
+    presses: Iterable[ForeignPress]
     mm_per_px: float
     n_rows: int
     notes: Parts = ()
@@ -139,7 +133,7 @@ def read_gs_sdk(source: Path, mm_per_px: float | None, ball_radius_mm: float | N
     diameters = _numbers(catalog, source / "catalog.csv", "diameter(mm)")["diameter(mm)"]
     others = [name for name in catalog if name not in ("diameter(mm)", "file", *COORDINATES)]
 
-    def presses() -> Iterator[Press]:
+    def presses() -> Iterator[ForeignPress]:
         for row, diameter in zip(catalog.to_dict("records"), diameters.tolist(), strict=True):
             folder = _inside(source, row["experiment_reldir"])
             radius_mm = ball_radius_mm or diameter / 2
@@ -148,7 +142,7 @@ def read_gs_sdk(source: Path, mm_per_px: float | None, ball_radius_mm: float | N
                 columns |= dict(zip(COORDINATES, _gs_sdk_label(folder / "label.npz"), strict=True))
             columns |= {name: row[name] for name in others}
             name = str(row["experiment_reldir"]).replace("/", "_")
-            yield Press(name, _image(folder / "gelsight.png"), columns)
+            yield ForeignPress(name, _image(folder / "gelsight.png"), columns)
 
     notes = () if mm_per_px else (f"mm_per_px taken as {GS_SDK_MM_PER_PX} (gs_sdk's Mini)",)
     background = _image(source / "background.png")
@@ -157,7 +151,7 @@ def read_gs_sdk(source: Path, mm_per_px: float | None, ball_radius_mm: float | N
 
 def _gs_sdk_label(path: Path) -> list[float]:
     try:
-        check_archive(path, MAX_ABOUT_BYTES)
+        check_archive(path, IMAGES.max_about_bytes)
         with np.load(path, allow_pickle=False) as label:
             x, y = label["center"]
             return [float(value) for value in (x, y, label["radius"])]
@@ -207,14 +201,14 @@ def read_py3dcal(source: Path, mm_per_px: float | None, ball_radius_mm: float | 
     notes += [note] if note else []
     others = [n for n in table if n not in ("img_name", "x_px", "y_px", "file", "trial", *STAGE)]
 
-    def presses() -> Iterator[Press]:
+    def presses() -> Iterator[ForeignPress]:
         for k in np.nonzero(touching)[0].tolist():
             columns: dict[str, Any] = {"radius_mm": radius_mm}
             if np.isfinite(circles[k]).all():
                 columns |= dict(zip(COORDINATES, circles[k].tolist(), strict=True))
             columns |= {name: named[name][k] for name in STAGE if name in named}
             columns |= {"trial": trial[k], **{name: table[name].iloc[k] for name in others}}
-            yield Press(paths[k].stem, _image(paths[k]), columns)
+            yield ForeignPress(paths[k].stem, _image(paths[k]), columns)
 
     scale = mm_per_px or 1.0 / known["px_per_mm"]
     return PressSet(background, presses(), scale, len(table), tuple(notes))
@@ -229,6 +223,7 @@ def _contradicted(
     most trials' are wrong, so is the rule that they were derived by, and all are.
     """
     wrong, ratios, checked = np.zeros(len(circles), bool), [], 0
+    off = IMAGES.derived_off_share
     for one in np.unique(trial[np.isfinite(circles).all(axis=1)]):
         rows = trial == one
         x, y, radius = circles[np.argmax(rows)]
@@ -238,8 +233,8 @@ def _contradicted(
         checked += 1
         ratios.append(radius / seen.edge_px)
         apart = np.hypot(seen.center_px[0] - x, seen.center_px[1] - y)
-        sized = 1 - LABEL_OFF < ratios[-1] < 1 / (1 - LABEL_OFF)
-        wrong[rows] = not sized or apart > LABEL_OFF * seen.edge_px
+        sized = 1 - off < ratios[-1] < 1 / (1 - off)
+        wrong[rows] = not sized or apart > off * seen.edge_px
     if not wrong.any() or checked < IMAGES.min_presses:
         return np.zeros_like(wrong), ""
     share = len(np.unique(trial[wrong])) / checked
@@ -272,10 +267,10 @@ def read_9dtact(source: Path, mm_per_px: float | None, ball_radius_mm: float | N
         path for ref in references for path in sorted(ref.parent.glob("rectify_crop_sample*.png"))
     ]
 
-    def presses() -> Iterator[Press]:
+    def presses() -> Iterator[ForeignPress]:
         for path in samples:
             parts = path.relative_to(source).with_suffix("").parts
-            yield Press("_".join(parts), _image(path), {"radius_mm": radius_mm})
+            yield ForeignPress("_".join(parts), _image(path), {"radius_mm": radius_mm})
 
     one_colour = "9DTact shows depth as darkness, a table slopes as colours: see the held-out error"
     background = np.median(rest, axis=0).astype(np.uint8)
@@ -312,7 +307,7 @@ def read_gelsight_mini_pretrain(
     columns, about = _pretrain_columns(table[ball], radius_mm, source)
     notes += about
     row = np.nonzero(ball)[0]
-    chosen = row[:: max(1, len(row) // MAX_BACKGROUND_PICTURES)]
+    chosen = row[:: max(1, len(row) // IMAGES.background_pictures)]
     few = [rgb for _, rgb in _parquet_images(files, chosen)]
     median = np.median(np.stack(_of_one_size(few, [source] * len(few))), axis=0)
     warnings: Parts = ()
@@ -321,10 +316,10 @@ def read_gelsight_mini_pretrain(
         kinds = "; ".join(" ".join(map(str, kind)) for kind in gels.drop_duplicates().to_numpy())
         warnings = (f"presses of several gels ({kinds}): calibrate each by itself",)
 
-    def presses() -> Iterator[Press]:
+    def presses() -> Iterator[ForeignPress]:
         records = columns.to_dict("records")
         for number, (_, rgb) in enumerate(_parquet_images(files, row)):
-            yield Press(f"press_{number:05d}", rgb, records[number])
+            yield ForeignPress(f"press_{number:05d}", rgb, records[number])
 
     background = np.rint(median).astype(np.uint8)
     return PressSet(background, presses(), scale, len(table), tuple(notes), warnings)
@@ -502,7 +497,7 @@ def _numbers(table: pd.DataFrame, path: Path, *names: str) -> dict[str, FloatArr
 
 def _json(path: Path, needed: tuple[str, ...]) -> dict[str, float]:
     try:
-        found = json.loads(read_small_text(path, MAX_ABOUT_BYTES))
+        found = json.loads(read_small_text(path, IMAGES.max_about_bytes))
         numbers = {name: float(found[name]) for name in needed}
         if not all(0 < number < np.inf for number in numbers.values()):
             msg = "they must be positive"

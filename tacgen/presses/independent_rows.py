@@ -1,19 +1,17 @@
 """Rows of a press log that are independent readings, of all that were written down.
 
-Laboratories join a slow device to a fast one by its last value, write rows twice, resample to
-another rate, smooth. The rows are then more than the readings, and whatever counts rows, or takes
-the noise of neighbours as independent, is wrong. Here each reading is left in one row:
+Laboratories join a slow device to a fast one by its last value, and write rows twice. The rows
+are then more than the readings, and whatever counts rows is wrong. Here each reading is left in
+one row:
 
 * A reading *stands* in several rows where, while the load moves, its column repeats a value and
   then changes by more than its resolution. The first row of each is kept: there it is fresh.
-* Noise *goes on* from row to row where second and fourth differences of what functions of the
-  load leave in each trial, which no smooth course has, are smaller between neighbours than
-  between rows further apart. Every n-th row is kept, n the least distance beyond which they no
-  longer grow: of a moving average over n rows, or of an n-fold interpolation, these have all that
-  was measured.
+
+Noise that goes on from row to row, of readings that were smoothed or interpolated as of a gel, is
+left as it is: a diagnosis counts trials, or parts of them that are longer than it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -38,7 +36,7 @@ def independent_rows(columns: Mapping[str, NDArray[Any]]) -> tuple[BoolArray, li
     """
     keep = np.ones(len(columns["trial"]), dtype=bool)
     notes = []
-    for find in (_repeated_rows, _standing_readings, _correlated_noise):
+    for find in (_repeated_rows, _standing_readings):
         kept = np.flatnonzero(keep)
         own, note = find(_Rows({name: values[kept] for name, values in columns.items()}))
         if note:
@@ -63,11 +61,6 @@ class _Rows:
         """Measured columns, forces and responses."""
         pairs = (pair for channel in CHANNELS for pair in channel)
         return [name for pair in pairs for name in pair if name in self.columns]
-
-    @property
-    def most_rows(self) -> int:
-        """Most rows that noise may go on for, so that a typical trial keeps enough."""
-        return min(LOG.most_rows, int(np.median(np.diff(self.starts))) // LOG.least_rows)
 
     def changes(self, name: str) -> BoolArray:
         """Rows (N,) with another value than the one before them, and first ones of trials."""
@@ -161,116 +154,3 @@ def _slope(values: FloatArray, others: FloatArray) -> float:
     known = np.isfinite(values) & np.isfinite(others)
     square = float(values[known] @ values[known])
     return float(values[known] @ others[known]) / max(square, 1e-300)
-
-
-def _correlated_noise(rows: _Rows) -> tuple[BoolArray, str]:
-    """Every n-th row of each trial, where noise goes on for n rows."""
-    count = max(_memory(_residuals(rows, channel), rows.most_rows) for channel in CHANNELS)
-    keep = np.ones(len(rows.columns["trial"]), dtype=bool)
-    if count == 1 or rows.starts.size <= LOG.least_trials:
-        return keep, ""
-    place = np.arange(keep.size) - np.repeat(rows.starts[:-1], np.diff(rows.starts))
-    keep = place % count == 0
-    note = (
-        f"the noise of neighbouring rows is not independent, as of readings that were smoothed or "
-        f"resampled: it goes on for {count} rows; every {count}{_ordinal(count)} row is used"
-    )
-    return keep, note
-
-
-def _ordinal(count: int) -> str:
-    return {2: "nd", 3: "rd"}.get(count, "th")
-
-
-def _residuals(rows: _Rows, channel: Sequence[tuple[str, str]]) -> Sequence[FloatArray]:
-    """What functions of the cleaner of two columns leave of the other in each trial, in order.
-
-    The noise of the column that functions are of would be spread over neighbours by the fit.
-    """
-    found = list[FloatArray]()
-    for pair in channel:
-        if not all(name in rows.columns for name in pair):
-            continue
-        force, response = (np.asarray(rows.columns[one], dtype=np.float64) for one in pair)
-        slope = _slope(force, response)
-        if _jitter(rows, force) * abs(slope) > _jitter(rows, response):
-            force, response = response, force
-        for first, stop in pairwise(rows.starts):
-            known = np.isfinite(force[first:stop]) & np.isfinite(response[first:stop])
-            if known.sum() > 2 * _N_FUNCTIONS:
-                load, answer = force[first:stop][known], response[first:stop][known]
-                design = _functions(load)
-                found.append(answer - design @ np.linalg.lstsq(design, answer, rcond=1e-6)[0])
-    return found
-
-
-def _jitter(rows: _Rows, values: FloatArray) -> float:
-    """Noise of a column and what bends its course: the median size of fourth differences."""
-    factors = np.array(_DIFFERENCES[4])
-    bends = [
-        np.abs(np.convolve(values[first:stop], factors, mode="valid"))
-        for first, stop in pairwise(rows.starts)
-        if stop - first >= len(factors)
-    ]
-    return float(np.nanmedian(np.concatenate([np.zeros(1), *bends])))
-
-
-_N_FUNCTIONS = 7
-
-
-def _functions(load: FloatArray) -> FloatArray:
-    """What a response may follow in a trial (N, 7): the load's size, past and course, and time."""
-    time = np.linspace(-1.0, 1.0, load.size)
-    before, after = np.r_[load[:1], load[:-1]], np.r_[load[1:], load[-1:]]
-    highest = np.maximum.accumulate(np.abs(load))
-    columns = [np.ones_like(load), load, load * np.abs(load), before, after, highest, time]
-    return np.stack([one / (float(np.abs(one).max()) or 1.0) for one in columns], axis=1)
-
-
-def _memory(residuals: Sequence[FloatArray], most: int) -> int:
-    """Over how many rows the noise of ``residuals`` goes on: 1 where rows are independent.
-
-    Noise is the same between neighbours as between rows further apart, once they are: of every
-    n-th row alone, as of what was interpolated, or of all rows, as of what was smoothed.
-    """
-
-    def share(near: tuple[int, int], far: tuple[int, int], step: int = 1) -> float:
-        return _noise_ratio([one[::step] for one in residuals], near, far)
-
-    is_correlated = max(share((1, order), (3, order)) for order in (2, 4)) < LOG.correlated_share
-    if not (is_correlated and share((2, 4), (2, 2)) > LOG.noise_share):
-        return 1
-    for count in range(2, most + 1):
-        further = -(-7 * count // 5)
-        of_all = [share((count, order), (further, order)) for order in (2, 4)]
-        shares = share((1, 2), (2, 2), count), float(np.mean(of_all))
-        if any(one >= LOG.white_share for one in shares):
-            return count
-    return max(most, 1)
-
-
-_DIFFERENCES = {2: (1.0, -2.0, 1.0), 4: (1.0, -4.0, 6.0, -4.0, 1.0)}
-
-
-def _noise_ratio(
-    residuals: Sequence[FloatArray], near: tuple[int, int], far: tuple[int, int]
-) -> float:
-    """Variance of noise by ``near`` differences over that by ``far`` ones, NaN if it is not known.
-
-    Each is a number of rows between neighbours and an order, and both are taken about the same
-    rows. Variances are medians, since corners of the load are few.
-    """
-    reach = max(lag * order // 2 for lag, order in (near, far))
-    squares: list[FloatArray] = []
-    for lag, order in (near, far):
-        factors = np.array(_DIFFERENCES[order])
-        found = [np.zeros(0)]
-        for values in residuals:
-            rows = values.size - 2 * reach
-            if rows > 0:
-                offsets = reach + lag * (np.arange(order + 1) - order // 2)
-                found.append(factors @ np.stack([values[i : i + rows] for i in offsets]))
-        squares.append(np.concatenate(found) ** 2 / float(factors @ factors))
-    if squares[0].size < LOG.least_runs or not np.median(squares[1]) > 0:
-        return float("nan")
-    return float(np.median(squares[0]) / np.median(squares[1]))

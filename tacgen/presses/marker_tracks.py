@@ -101,7 +101,7 @@ def read_marker_tracks(path: Path, sensor: Sensor, log: PressLog) -> MarkerTrack
     _check_count(len(ids), len(grid), sensor, where(int(count.sum(axis=1).argmax())))
     places = np.full((len(frames), len(ids), 2), np.nan)
     places[at, dot] = xy
-    return _joined(places, frames, where, ids, sensor, log)
+    return _joined(places, where, ids, sensor, log)
 
 
 def tracks_in_pictures(folder: PressFolder, sensor: Sensor, log: PressLog) -> MarkerTracks:
@@ -131,7 +131,7 @@ def tracks_in_pictures(folder: PressFolder, sensor: Sensor, log: PressLog) -> Ma
             places[bad] = np.nan
     at_rest_mm = px_to_mm(dots.places_px, *scale)
     ids = np.arange(len(dots), dtype=np.float64)
-    return _joined(places, frames, where, ids, sensor, log, at_rest_mm)
+    return _joined(places, where, ids, sensor, log, at_rest_mm)
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +172,6 @@ def _check_count(found: int, n_grid: int, sensor: Sensor, where: str) -> None:
 
 def _joined(
     places: FloatArray,
-    frames: FloatArray,
     where: _Names,
     ids: FloatArray,
     sensor: Sensor,
@@ -181,9 +180,9 @@ def _joined(
 ) -> MarkerTracks:
     """Tracks with their loads, dots in the order of the grid, what is wrong left out."""
     grid, pitch_mm = _grid_of(sensor), sensor.markers.pitch_mm if sensor.markers else np.nan
-    time_s, load = _loads(frames, where, log)
+    time_s, load = _loads(where, log)
     kept = np.isfinite(time_s)  # the log drops presses, and says so
-    frames, time_s, places = frames[kept], time_s[kept], places[kept]
+    frames, time_s, places = where.frames[kept], time_s[kept], places[kept]
     load = {name: values[kept] for name, values in load.items()}
     where = replace(where, frames=frames)
     warnings: list[str] = []
@@ -232,9 +231,7 @@ def _joined(
     )
 
 
-def _loads(
-    frames: FloatArray, where: _Names, log: PressLog
-) -> tuple[FloatArray, dict[str, FloatArray]]:
+def _loads(where: _Names, log: PressLog) -> tuple[FloatArray, dict[str, FloatArray]]:
     """Time and the log's numbers at each frame; ``PressError`` for frames without a sample."""
     needed = ("force_normal_n", "force_shear_x_n", "force_shear_y_n", "radius_mm", "x_mm", "y_mm")
     if lacking := [name for name in needed if name not in log]:
@@ -243,7 +240,7 @@ def _loads(
             "forces, its ball's radius and the contact's place"
         )
         raise PressError(msg)
-    dropped = {one.trial: one for one in log.dropped}
+    dropped, frames = {one.trial: one for one in log.dropped}, where.frames
     names = [n for n in log.columns if log[n].dtype.kind == "f" and n != "time_s"]
     load = {name: np.full(len(frames), np.nan) for name in names}
     time_s, problems = np.full(len(frames), np.nan), []

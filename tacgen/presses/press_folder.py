@@ -25,6 +25,7 @@ from tacgen.presses.lab_table import (
 )
 from tacgen.presses.press_images import PressImages
 from tacgen.presses.press_log import SHEAR_FORCES
+from tacgen.presses.rules import IMAGES
 
 COORDINATES = ("center_x_px", "center_y_px", "contact_radius_px")
 STAGE = ("x_mm", "y_mm")
@@ -40,10 +41,6 @@ TAXIM_FULL_MM_PER_PX, TAXIM_FULL_WIDTH_PX = 0.0295, 640
 """Scale of Taxim's sensor at its full width; a smaller picture of it has larger pixels."""
 
 TAXIM_BALL_RADIUS_MM = 2.0  # Source: Taxim, branch data-collection: a ball of 4 mm diameter
-
-BALLS_MM = (0.1, 200.0)  # radius
-WIDTHS_MM = (1.0, 150.0)
-"""What ball radii and widths of a picture can be; others are in another unit."""
 
 _DATAPACK = ("f0", "imgs", "touch_center", "touch_radius")
 
@@ -120,9 +117,9 @@ def read_press_folder(
     if background_path.is_file():
         background = read_rgb(background_path, PressError)
         wide_mm = sensor[0] * background.shape[1]
-        if not (np.isnan(wide_mm) or WIDTHS_MM[0] <= wide_mm <= WIDTHS_MM[1]):
+        if not (np.isnan(wide_mm) or IMAGES.widths_mm[0] <= wide_mm <= IMAGES.widths_mm[1]):
             made = f"mm_per_px = {sensor[0]:g} makes the picture {wide_mm:.3g} mm wide"
-            known = f"a tactile sensor sees {WIDTHS_MM[0]:g} to {WIDTHS_MM[1]:g} mm"
+            known = f"a tactile sensor sees {IMAGES.widths_mm[0]:g} to {IMAGES.widths_mm[1]:g} mm"
             problems.append(f"{sensor_path}: {made}; {known}: give the size of one pixel in mm")
     if is_listed:
         table = _read_list(table_path, required, ball_radius_mm, problems)
@@ -320,7 +317,7 @@ def _read_list(
 def _radius_problems(
     radii: FloatArray, frame: pd.DataFrame, path: Path, required: bool
 ) -> Iterator[str]:
-    smallest, largest = BALLS_MM
+    smallest, largest = IMAGES.balls_mm
     for radius, (row, cell) in zip(radii, frame["radius_mm"].items(), strict=True):
         where = f"{path}: row {row}: radius_mm"
         if radius < smallest or radius > largest:

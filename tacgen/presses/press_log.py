@@ -6,7 +6,7 @@ what makes one press unusable drops that press, with the reason in ``PressLog.dr
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -392,19 +392,19 @@ def _check_clock_unit(table: LogTable, columns: Columns) -> list[str]:
 
 
 def _checked(columns: Columns, path: Path, rows: IntArray, response: str) -> PressLog:
-    found = _Findings(columns, path, rows, np.ones(len(rows), dtype=bool), response)
-    blocks = _trial_blocks(columns["trial"])
+    blocks, keep = _trial_blocks(columns["trial"]), np.ones(len(rows), dtype=bool)
+    found = _Findings(columns, path, rows, blocks, keep, response)
     for check in CHECKS:
-        for block, reason in check.test(found, found.in_use(blocks)):
-            found.drop(block, check, reason)
+        for block in found.in_use:
+            if reason := check.test(found, block):
+                found.drop(block, check, reason)
     # One line for what is the same of very many presses, after the first few.
     more = len(found.warnings) - LOG.max_warned
     if more > 0:
         del found.warnings[LOG.max_warned :]
         found.warn(f"{more} more presses have empty cells or gaps in their clock likewise")
-    in_use = found.in_use(blocks)
-    _warn_of_tied_times(found, in_use)
-    session_clock = _runs_on(found, in_use)
+    _warn_of_tied_times(found)
+    session_clock = _runs_on(found)
     _warn_of_empty_covariates(found)
     dropped = tuple(sorted(found.dropped, key=lambda each: each.rows))
     if found.keep.sum() <= (1 - LOG.max_dropped_share) * (len(rows) - found.copied):
@@ -446,14 +446,26 @@ class _Findings:
     columns: Columns
     path: Path
     rows: IntArray  # (N,), in the file
+    blocks: list[IntArray]
     keep: BoolArray
     response: str  # the column that the volume comes from
     dropped: list[DroppedTrial] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     copied: int = 0  # samples of presses that are copies: nothing is lost with them
+    first: dict[bytes | int, IntArray] = field(default_factory=dict)  # press by samples, by number
+    _typical: tuple[float, float] | None = None
 
-    def in_use(self, blocks: list[IntArray]) -> list[IntArray]:
-        return [block for block in blocks if self.keep[block].any()]
+    @property
+    def in_use(self) -> list[IntArray]:
+        return [block for block in self.blocks if self.keep[block].any()]
+
+    @property
+    def typical(self) -> tuple[float, float]:
+        """As ``typical_load``, of the presses in use when first asked for; unknown of two."""
+        if self._typical is None:
+            in_use = self.in_use
+            self._typical = _typical_of(self.columns, in_use if len(in_use) > 2 else [])
+        return self._typical
 
     def kept(self, block: IntArray) -> IntArray:
         return block[self.keep[block]]
@@ -473,15 +485,14 @@ class _Findings:
         self.warnings.append(f"{self.path}: {text}")
 
 
-Found = Iterator[tuple[IntArray, str]]
-"""Presses that are dropped, by their samples' indices, and why."""
-
-
 @dataclass(frozen=True, slots=True)
 class Check:
-    """What makes a press unusable, found among those in use, and how it is mended."""
+    """What makes a press unusable: a ``test`` of its samples' indices, which says why, and the fix.
 
-    test: Callable[[_Findings, list[IntArray]], Found]
+    A test may also drop single samples, or warn.
+    """
+
+    test: Callable[[_Findings, IntArray], str]
     fix: str
     loses_nothing: bool = False  # a press that is dropped is there a second time
 
@@ -493,7 +504,11 @@ def _trial_blocks(trial: IntArray) -> list[IntArray]:
 
 def typical_load(columns: Columns) -> tuple[float, float]:
     """Medians over presses: peak force, N, and volume per force, mm³/N; NaN where unknown."""
-    both = _peaks_and_compliances(columns, _trial_blocks(columns["trial"]))
+    return _typical_of(columns, _trial_blocks(columns["trial"]))
+
+
+def _typical_of(columns: Columns, blocks: list[IntArray]) -> tuple[float, float]:
+    both = _peaks_and_compliances(columns, blocks)
     peak, compliance = (
         float(np.nanmedian(one)) if np.isfinite(one).any() else math.nan for one in both
     )
@@ -588,99 +603,87 @@ def _peaks_and_compliances(
     return peak, compliance
 
 
-def _empty_cells(found: _Findings, blocks: list[IntArray]) -> Found:
+def _empty_cells(found: _Findings, block: IntArray) -> str:
     """Empty or infinite cells: a few drop their samples, many the press."""
     required = (*REQUIRED[:-1], found.response)
     names = (*required, *(name for name in SHEAR if name in found.columns))
-    for block in blocks:
-        finite = {name: np.isfinite(found.columns[name][block]) for name in names}
-        finite = {name: known for name, known in finite.items() if name in required or known.any()}
-        bad = ~np.logical_and.reduce(list(finite.values()))
-        if not bad.any():
-            continue
-        guilty = ", ".join(name for name, known in finite.items() if not known.all())
-        where = ", ".join(str(row) for row in found.rows[block[bad][: LOG.max_listed]])
-        what = f"{guilty} is empty, NaN or infinite in {bad.sum()} of {len(bad)} samples"
-        if bad.mean() > LOG.max_empty_share:
-            yield block, f"{what} (row {where})"
-            continue
-        found.keep[block] &= ~bad
-        fix = "these samples are dropped, fill the cells or delete the rows"
-        found.warn(f"row {where}: trial {found.trial(block)}: {what}; {fix}")
+    finite = {name: np.isfinite(found.columns[name][block]) for name in names}
+    finite = {name: known for name, known in finite.items() if name in required or known.any()}
+    bad = ~np.logical_and.reduce(list(finite.values()))
+    if not bad.any():
+        return ""
+    guilty = ", ".join(name for name, known in finite.items() if not known.all())
+    where = ", ".join(str(row) for row in found.rows[block[bad][: LOG.max_listed]])
+    what = f"{guilty} is empty, NaN or infinite in {bad.sum()} of {len(bad)} samples"
+    if bad.mean() > LOG.max_empty_share:
+        return f"{what} (row {where})"
+    found.keep[block] &= ~bad
+    fix = "these samples are dropped, fill the cells or delete the rows"
+    found.warn(f"row {where}: trial {found.trial(block)}: {what}; {fix}")
+    return ""
 
 
-def _clock_goes_back(found: _Findings, blocks: list[IntArray]) -> Found:
-    for block in blocks:
-        kept = found.kept(block)
-        steps = np.diff(found.columns["time_s"][kept])
-        back = np.flatnonzero(steps < 0)
-        if back.size:
-            more = f" and {back.size - 1} more" if back.size > 1 else ""
-            yield block, f"time_s goes backwards at row {found.rows[kept[back[0] + 1]]}{more}"
-            continue
-        usual = np.median(steps[steps > 0]) if (steps > 0).any() else np.inf
-        gaps = np.flatnonzero(steps > LOG.gap_factor * usual)
-        if gaps.size:
-            found.warn(
-                f"row {found.rows[kept[gaps[0] + 1]]}: trial {found.trial(block)}: the clock jumps "
-                f"by {steps[gaps[0]]:.3g} s ({gaps.size} such gaps): what depends on the load's "
-                "history is not known across it"
-            )
+def _clock_goes_back(found: _Findings, block: IntArray) -> str:
+    kept = found.kept(block)
+    steps = np.diff(found.columns["time_s"][kept])
+    back = np.flatnonzero(steps < 0)
+    if back.size:
+        more = f" and {back.size - 1} more" if back.size > 1 else ""
+        return f"time_s goes backwards at row {found.rows[kept[back[0] + 1]]}{more}"
+    usual = np.median(steps[steps > 0]) if (steps > 0).any() else np.inf
+    gaps = np.flatnonzero(steps > LOG.gap_factor * usual)
+    if gaps.size:
+        found.warn(
+            f"row {found.rows[kept[gaps[0] + 1]]}: trial {found.trial(block)}: the clock jumps by "
+            f"{steps[gaps[0]]:.3g} s ({gaps.size} such gaps): what depends on the load's history "
+            "is not known across it"
+        )
+    return ""
 
 
-def _copies(found: _Findings, blocks: list[IntArray]) -> Found:
-    seen: dict[bytes, IntArray] = {}
-    for block in blocks:
-        force, volume = (found.columns[name][block] for name in REQUIRED[2:])
-        original = seen.setdefault(force.tobytes() + volume.tobytes(), block)
-        if original is not block and len(block) > 3:
-            where = f"trial {found.trial(original)} (from row {found.rows[original[0]]})"
-            yield block, f"it is a copy of {where}"
+def _is_copy(found: _Findings, block: IntArray) -> str:
+    force, volume = (found.columns[name][block] for name in REQUIRED[2:])
+    original = found.first.setdefault(force.tobytes() + volume.tobytes(), block)
+    if original is block or len(block) <= 3:
+        return ""
+    return f"it is a copy of trial {found.trial(original)} (from row {found.rows[original[0]]})"
 
 
-def _numbers_taken(found: _Findings, blocks: list[IntArray]) -> Found:
-    first_row: dict[int, int] = {}
-    for block in blocks:
-        trial, row = found.trial(block), int(found.rows[block[0]])
-        if first_row.setdefault(trial, row) != row:
-            known = f"trial {trial} is already at row {first_row[trial]}"
-            yield block, f"{known}, so it is not known which press this one is"
+def _number_is_taken(found: _Findings, block: IntArray) -> str:
+    trial = found.trial(block)
+    row = found.rows[found.first.setdefault(trial, block)[0]]
+    known = f"trial {trial} is already at row {row}, so it is not known which press this one is"
+    return known if row != found.rows[block[0]] else ""
 
 
-def _constant_forces(found: _Findings, blocks: list[IntArray]) -> Found:
-    for block in blocks:
-        force = found.columns["force_normal_n"][found.kept(block)]
-        if len(force) > 1 and np.ptp(force) == 0.0:
-            yield block, f"the force never changes ({force[0]:g} N)"
+def _constant_force(found: _Findings, block: IntArray) -> str:
+    force = found.columns["force_normal_n"][found.kept(block)]
+    is_constant = len(force) > 1 and np.ptp(force) == 0.0
+    return f"the force never changes ({force[0]:g} N)" if is_constant else ""
 
 
-def _no_force(found: _Findings, blocks: list[IntArray]) -> Found:
-    for block in blocks:
-        if not (found.columns["force_normal_n"][found.kept(block)] > 0).any():
-            yield block, "the force is never positive"
+def _no_force(found: _Findings, block: IntArray) -> str:
+    is_pressed = (found.columns["force_normal_n"][found.kept(block)] > 0).any()
+    return "" if is_pressed else "the force is never positive"
 
 
-def _no_contact(found: _Findings, blocks: list[IntArray]) -> Found:
-    for block in blocks:
-        if not (found.columns["volume_mm3"][found.kept(block)] != 0).any():
-            yield block, f"the {found.response.partition('_')[0]} is always 0: no contact was seen"
+def _no_contact(found: _Findings, block: IntArray) -> str:
+    is_touched = (found.columns["volume_mm3"][found.kept(block)] != 0).any()
+    what = f"the {found.response.partition('_')[0]} is always 0: no contact was seen"
+    return "" if is_touched else what
 
 
-def _other_unit(found: _Findings, blocks: list[IntArray]) -> Found:
-    peak, compliance = _peaks_and_compliances(found.columns, blocks)
-    if len(blocks) < 3 or not np.nanmedian(compliance) > 0:
-        return
-    typical_peak, typical = np.nanmedian(peak), np.nanmedian(compliance)
-    for block, one_peak, one in zip(blocks, peak, compliance, strict=True):
-        stiff = one < typical / LOG.outlier_factor and one_peak > typical_peak * LOG.outlier_factor
-        soft = one > typical * LOG.outlier_factor and one_peak < typical_peak / LOG.outlier_factor
-        if stiff or soft:
-            yield (
-                block,
-                f"its force peaks at {one_peak:.3g}, the others at {typical_peak:.3g} (median), "
-                f"and volume per force is {one:.2g} against {typical:.2g} mm³/N: it looks like "
-                "another unit (grams?)",
-            )
+def _other_unit(found: _Findings, block: IntArray) -> str:
+    peak, one = (float(of[0]) for of in _peaks_and_compliances(found.columns, [block]))
+    typical_peak, typical = found.typical
+    stiff = one < typical / LOG.outlier_factor and peak > typical_peak * LOG.outlier_factor
+    soft = one > typical * LOG.outlier_factor and peak < typical_peak / LOG.outlier_factor
+    return (
+        f"its force peaks at {peak:.3g}, the others at {typical_peak:.3g} (median), and volume "
+        f"per force is {one:.2g} against {typical:.2g} mm³/N: it looks like another unit (grams?)"
+        if typical > 0 and (stiff or soft)
+        else ""
+    )
 
 
 CHECKS = (
@@ -689,9 +692,9 @@ CHECKS = (
         _clock_goes_back,
         "sort the rows by trial and time, and give each press its own trial number",
     ),
-    Check(_copies, "delete one of the two", loses_nothing=True),
-    Check(_numbers_taken, "give each press its own trial number, in one block of rows"),
-    Check(_constant_forces, "check the gauge"),
+    Check(_is_copy, "delete one of the two", loses_nothing=True),
+    Check(_number_is_taken, "give each press its own trial number, in one block of rows"),
+    Check(_constant_force, "check the gauge"),
     Check(_no_force, "zero the gauge, check its sign"),
     Check(_no_contact, "press deeper"),
     Check(_other_unit, "write its force in newtons"),
@@ -699,9 +702,9 @@ CHECKS = (
 """Applied in this order, each to the presses that those before have left."""
 
 
-def _warn_of_tied_times(found: _Findings, blocks: list[IntArray]) -> None:
+def _warn_of_tied_times(found: _Findings) -> None:
     """A warning where many samples of a press share a time: the clock's step hides their order."""
-    times_s = [found.columns["time_s"][found.kept(block)] for block in blocks]
+    times_s = [found.columns["time_s"][found.kept(block)] for block in found.in_use]
     shares = [float((np.diff(one) == 0).mean()) for one in times_s if len(one) > 1]
     tied = sum(share > LOG.most_tied_share for share in shares)
     if tied:
@@ -712,9 +715,9 @@ def _warn_of_tied_times(found: _Findings, blocks: list[IntArray]) -> None:
         )
 
 
-def _runs_on(found: _Findings, blocks: list[IntArray]) -> bool:
+def _runs_on(found: _Findings) -> bool:
     """Whether the clock does from press to press; a warning where not."""
-    times_s = [found.columns["time_s"][found.kept(block)] for block in blocks]
+    times_s = [found.columns["time_s"][found.kept(block)] for block in found.in_use]
     runs = all(after[0] >= before[-1] for before, after in pairwise(times_s))
     if not runs:
         found.warn(

@@ -60,18 +60,10 @@ class LogRules:
     # for newtons are 9.8 times less
 
     # Rows that are independent readings
-    most_rows: int = 20  # that noise is said to go on for
-    least_rows: int = 4  # that a typical press keeps then: fewer have no course
-    least_trials: int = 8  # to tell noise that goes on from an effect, which few presses share
     least_runs: int = 20  # of readings that a judgement needs
     standing_share: float = 0.5  # of readings, between clear changes, that stand in two rows
     clear_steps: float = 4.0  # of a column's resolution: a smaller change is often none by chance
     moving_share: float = 0.3  # of the other column's course that goes on while a reading stands
-    white_share: float = 0.82  # of the noise of rows further apart that neighbours have if theirs
-    # is independent
-    noise_share: float = 0.4  # of second differences that fourth ones have, of noise; of a course,
-    # hardly any
-    correlated_share: float = 0.5  # below it neighbours' noise is correlated; briefly, it has 0.7
 
     # Printed dots
     jump_pitches: float = 0.5  # off its neighbours' motion: another dot
@@ -82,6 +74,16 @@ class LogRules:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImageRules:
     """Thresholds of reading press images; *radii* are of the contact's circle."""
+
+    # What ball radii and widths of a picture can be: others are in another unit
+    balls_mm: tuple[float, float] = (0.1, 200.0)
+    widths_mm: tuple[float, float] = (1.0, 150.0)
+
+    # Sets of other toolkits
+    max_about_bytes: int = 1 << 20  # of a file with a few numbers
+    background_pictures: int = 101  # whose median stands in for a background: more change no level
+    derived_off_share: float = 0.2  # of the circle that is seen, by which one derived from a depth
+    # may be off: on pressed balls the seen one is 3 to 6 % wide and its centre within 2 %
 
     # The contact's circle
     work_width_px: int = 160  # images are looked at this wide: a circle needs no more
@@ -143,6 +145,7 @@ class ImageRules:
     near_px: float = 1.0  # circles, or stage places and radii: labels are set to whole pixels
     alike_press_share: float = 0.1  # of what either differs from the gel at rest by: a contact of
     # 40 px moved by 2 px reaches it, noise of 1 grey level under a light touch half of it
+    rows_at_once: int = 1000  # of the matrix of pictures against pictures
     compared_press_px: int = 40  # most columns that are compared, each a mean over at least
     block_px: int = 8  # pixels, which leaves little of a camera's noise
 

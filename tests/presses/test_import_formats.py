@@ -12,6 +12,7 @@ from tacgen.core.errors import PressError, TacgenError
 from tacgen.presses import import_formats
 from tacgen.presses.import_formats import import_presses
 from tacgen.presses.press_folder import read_presses
+from tacgen.presses.rules import IMAGES
 
 BACKGROUND = np.full((48, 64, 3), (90, 120, 150), np.uint8)  # blue, green, red
 
@@ -318,7 +319,7 @@ def test_pretrain_holds_few_pictures_at_once(tmp_path, monkeypatch):
     def counted(*args, **kwargs):
         image = original(*args, **kwargs)
         held.append(weakref.ref(image))
-        assert sum(one() is not None for one in held) <= import_formats.MAX_BACKGROUND_PICTURES + 60
+        assert sum(one() is not None for one in held) <= IMAGES.background_pictures + 60
         return image
 
     monkeypatch.setattr(import_formats, "decode_rgb", counted)

@@ -5,7 +5,8 @@
 For each folder (or Taxim's dataPack) a row: the verdict of ``tacgen diagnose optics`` without a
 table, its effects with what each gains on held-out presses, the error of presses that took no part
 before and after, and the share of the residual's power around contacts that a pattern of distance
-and direction predicts of held-out presses, the same everywhere and changing over the gel.
+and direction predicts: of held-out presses the same everywhere and changing over the gel, and of
+each press one of its own, of the pixels that it was not fitted to.
 
 The rules of the search were chosen on simulated presses, ``mini_presses`` and Taxim's small set;
 other sets only judge.
@@ -21,7 +22,7 @@ import numpy as np
 
 from tacgen.diagnose.optics.diagnose import diagnose_optics
 from tacgen.diagnose.optics.fit import Model, PressFit
-from tacgen.diagnose.optics.residuals import around_contact
+from tacgen.diagnose.optics.residuals import AROUND, AROUND_BY_PLACE, PRESS, around_contact
 from tacgen.presses.press_folder import read_presses
 from tacgen.presses.screening import usable_presses
 
@@ -29,9 +30,10 @@ from tacgen.presses.screening import usable_presses
 def structure(fit: PressFit, model: Model) -> str:
     """RMS around contacts, grey levels, and the shares that patterns predict."""
     residuals = fit.residuals(model)
-    pairs = [around_contact(fit, model, residuals, by_place=changes) for changes in (False, True)]
-    shares = [100 * (1 - after.mean() / before.mean()) for before, after in pairs]
-    return f"{np.sqrt(pairs[0][0].mean()):.2f} ({shares[0]:.0f}, {shares[1]:.0f} %)"
+    kinds = (AROUND, AROUND_BY_PLACE, PRESS)
+    pairs = [around_contact(fit, model, residuals, kind) for kind in kinds]
+    shares = [f"{100 * (1 - after.mean() / before.mean()):.0f}" for before, after in pairs]
+    return f"{np.sqrt(pairs[0][0].mean()):.2f} ({', '.join(shares)} %)"
 
 
 def main() -> None:

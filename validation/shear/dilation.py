@@ -288,9 +288,9 @@ def _print_decays(
     def field(decay_mm: float) -> Float64:
         rows, columns = pressure.shape
         own = ShearField(columns * lattice_mm, rows * lattice_mm, decay_mm, lattice_mm)
-        basis = []
+        own.tolerance, basis = 1e-4, []
         for pull in np.eye(2):
-            state = own.step(pressure, pull, 0.0, np.zeros(2), np.inf, None, 1e-4)
+            state = own.step(pressure, pull, 0.0, np.zeros(2), np.inf)
             basis.append(own.motion_mm(state, points, 1.0))
         return left(basis)
 

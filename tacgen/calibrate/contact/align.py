@@ -19,6 +19,7 @@ import numpy as np
 from scipy.optimize import brentq, least_squares, minimize_scalar
 from scipy.special import fdtrc
 
+from tacgen.calibrate.contact.rules import ALIGN
 from tacgen.calibrate.contact.slope_fit import neighbours
 from tacgen.contact.effects import LoadHistory
 from tacgen.contact.noise import sample_noise
@@ -27,42 +28,6 @@ from tacgen.core.records import frozen_array
 from tacgen.core.types import BoolArray, FloatArray, IntArray
 from tacgen.presses.geometry import ball_depth_mm, ball_volume_mm3
 from tacgen.presses.press_log import SHEAR, PressLog
-
-MIN_CONTACT_SAMPLES = 6  # fewer samples in contact do not carry a slope and a contact point
-MEDIAN_STDERR = 1.25  # of normal noise, in standard errors of the mean
-BEGINS_ELSEWHERE_P = 0.1  # a shift that is fitted in vain costs certainty, one left out is an error
-TAIL_SHARE = 0.02  # of the largest force: several times the noise; beyond it residuals are tails
-IN_CONTACT_SHARE = 0.05  # of the deepest: nearer to the surface noise of the depth decides
-INSTRUMENT_STEPS = 6  # each a tenth of the one before it
-MOST_SHIFT_SHARE = 0.15  # of the deepest, median: zeros of stages are off by less, stiffening more
-MOST_STEP_SHARE = 0.2  # of the deepest: where a step is longer, its direction alone is known
-N_TAUS = 5  # time constants of creep, from what samples resolve to two presses
-BENDS = (0.8, 2.0)  # powers of the force by which a gel yields more at first, or later
-EFFECT_P, BENT_P = 0.001, 0.01
-"""An effect that is not there costs only that presses share a shift; stiffening that is there and
-is not seen becomes one."""
-MISFIT = 1.15  # residuals over their noise by differences: up to 1.1 where the model holds
-UNLOADED_SHARE = 0.01  # of the span of force: a tenth of the deepest, or less
-SHIFTED = 3.0  # standard errors of a shift of all presses
-LEAST_SHIFT_SHARE = 1e-4  # of the deepest: a shift of which changes no volume that matters
-
-RADII_MM = (0.1, 100.0)  # indenters outside this range are no balls that a gel is pressed with
-N_RADII = 121  # of a profile: 6 % apart
-N_STARTS = 13  # contact points tried along a curve: its loss has several minima
-MIN_CURVE_SAMPLES = 8  # in contact: two for each of the four numbers of a curve
-
-LEAST_ROWS = 3  # at rest before a press
-LEAST_TRIALS = 3  # that have them
-REACH = 5.0  # standard deviations of a sample's noise that a row at rest may be off
-RISE = 3.0  # the same, of the halves of a rest: more is a press that has begun
-APART = 2.0  # times the noise of their means that zeros of trials differ by where they wander
-CLEAR = 5.0  # standard errors that a zero must be off
-LEAST_SHARE = 0.005  # of a column's span: less does not matter beside any interval
-PRESSED = 10.0  # standard deviations of the noise that a press rises above its rest
-
-FEW_TRIALS = 10  # with fewer presses the t quantile makes intervals clearly wider
-SMALL_SPREAD_MM = 1.0  # positions closer together than a contact is wide are one place
-HOLD_S = 1.0  # a hold long enough to tell creep from the speed of loading
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +98,7 @@ def shift_beside_effects(log: PressLog, trials: Sequence[int]) -> tuple[float, f
     with before they have a force shows one. None where presses show no effect, or are too few to
     show any.
     """
-    if len(trials) < FEW_TRIALS:
+    if len(trials) < ALIGN.few_trials:
         return None
     log = without_zero(log.select(np.isin(log["trial"], trials)))
     trial, depth, radius = (log[name] for name in ("trial", "depth_mm", "radius_mm"))
@@ -142,25 +107,27 @@ def shift_beside_effects(log: PressLog, trials: Sequence[int]) -> tuple[float, f
     history = LoadHistory({name: log[name] for name in ("trial", "time_s", "force_normal_n")})
     load, span_n = history.load("normal"), history.normal_span_n
     relative = np.maximum(load / span_n, 0.0)
-    taus_s = np.geomspace(4.0 * history.sample_period_s, 2.0 * history.trial_duration_s, N_TAUS)
+    taus_s = np.geomspace(
+        4.0 * history.sample_period_s, 2.0 * history.trial_duration_s, ALIGN.n_taus
+    )
     peak, _ = history.peak_load(load, "normal", span_n)
     memory = [history.low_pass(load, tau_s) for tau_s in taus_s]
     known = np.hstack([*memory, np.maximum(peak - load, 0.0), own_press * load])
-    bends = np.hstack([relative**power for power in BENDS])
+    bends = np.hstack([relative**power for power in ALIGN.bends])
 
     def paired(columns: FloatArray) -> FloatArray:
         return np.hstack([neighbours(one[:, None], trial) for one in columns.T])
 
     pairs = np.hstack([paired(known[:, : -len(trials)]), own_press * paired(load)])
     deepest, middle = float(depth.max()), paired(depth[:, None])[:, 0]
-    limit = MOST_STEP_SHARE * deepest
+    limit = ALIGN.most_step_share * deepest
 
     def fitted(parts: FloatArray) -> tuple[FloatArray, ...]:
         """Shifts (S,) of ``parts`` (N, S), and columns, instruments and volume as weighted."""
         shifts = np.zeros(parts.shape[1])
-        for _ in range(INSTRUMENT_STEPS):
+        for _ in range(ALIGN.instrument_steps):
             at = parts @ shifts
-            inside = middle + at > 2.0 * IN_CONTACT_SHARE * deepest
+            inside = middle + at > 2.0 * ALIGN.in_contact_share * deepest
             weight = (inside / np.maximum(_area_mm2(middle + at, radius), 1e-9))[:, None]
             area = _area_mm2(depth + at, radius)[:, None]
             columns = np.hstack([-area * parts, known]) * weight
@@ -173,8 +140,8 @@ def shift_beside_effects(log: PressLog, trials: Sequence[int]) -> tuple[float, f
     # Each press may begin elsewhere without any effect.
     own, columns, instruments, volume, weight = fitted(own_press.astype(np.float64))
     found, spread = _by_instruments(columns, instruments, volume, numbers)
-    effects = slice(len(trials), len(trials) + N_TAUS + 1)
-    is_effect = _p_of_none(found[effects], spread[effects, effects], len(trials)) < EFFECT_P
+    effects = slice(len(trials), len(trials) + ALIGN.n_taus + 1)
+    is_effect = _p_of_none(found[effects], spread[effects, effects], len(trials)) < ALIGN.effect_p
     bent, bent_spread = _by_instruments(
         np.hstack([bends * weight, columns]),
         np.hstack([paired(bends) * weight, instruments]),
@@ -183,7 +150,7 @@ def shift_beside_effects(log: PressLog, trials: Sequence[int]) -> tuple[float, f
     )
     # Stiffening shifts all presses alike; those that scatter about 0 begin elsewhere by themselves.
     is_alike = float(np.std(own)) < abs(float(np.mean(own)))
-    is_bent = is_alike and _p_of_none(bent[:2], bent_spread[:2, :2], len(trials)) < BENT_P
+    is_bent = is_alike and _p_of_none(bent[:2], bent_spread[:2, :2], len(trials)) < ALIGN.bent_p
     if not (is_effect or is_bent):
         return None
     shifts, columns, instruments, volume, weight = fitted(np.ones((len(depth), 1)))
@@ -191,14 +158,14 @@ def shift_beside_effects(log: PressLog, trials: Sequence[int]) -> tuple[float, f
     left, is_next = volume - columns @ found, (np.diff(numbers) == 0) & (weight[1:, 0] > 0)
     is_next &= weight[:-1, 0] > 0
     jumps = 0.5 * float((np.diff(left)[is_next] ** 2).sum())
-    if is_bent or float((left[1:][is_next] ** 2).sum()) > MISFIT**2 * jumps:
+    if is_bent or float((left[1:][is_next] ** 2).sum()) > ALIGN.misfit**2 * jumps:
         begin = np.flatnonzero(np.diff(numbers, prepend=-1))
-        unloaded = depth[begin[load[begin, 0] < UNLOADED_SHARE * span_n]]
-        zero = float(np.median(unloaded)) if len(unloaded) >= LEAST_TRIALS else 0.0
-        error = MEDIAN_STDERR * float(np.std(unloaded)) / math.sqrt(max(len(unloaded), 1))
-        return (-zero, error) if zero > CLEAR * error else (0.0, error)
+        unloaded = depth[begin[load[begin, 0] < ALIGN.unloaded_share * span_n]]
+        zero = float(np.median(unloaded)) if len(unloaded) >= ALIGN.least_trials else 0.0
+        error = ALIGN.median_stderr * float(np.std(unloaded)) / math.sqrt(max(len(unloaded), 1))
+        return (-zero, error) if zero > ALIGN.clear_sigmas * error else (0.0, error)
     shift, error = float(shifts[0]), math.sqrt(spread[0, 0])
-    return (shift, error) if abs(shift) > SHIFTED * error else (0.0, error)
+    return (shift, error) if abs(shift) > ALIGN.shifted_sigmas * error else (0.0, error)
 
 
 def _by_instruments(
@@ -229,19 +196,20 @@ def begins_elsewhere(log: PressLog, trials: Sequence[int]) -> bool:
     An F-test over all presses. The shifts also have to be small beside the depth: else they stand
     for an effect of the gel.
     """
-    fits, shares, dof = list[_Press](), list[float](), 0
+    squares, shares, dof = list[float](), list[float](), 0
     for trial in trials:
         rows = log["trial"] == trial
         depth, radius, force = (log[n][rows] for n in ("depth_mm", "radius_mm", "force_normal_n"))
-        if (depth > 0).sum() >= MIN_CONTACT_SAMPLES:
-            fits.append(_fit_press(depth, radius, force))
-            shares.append(fits[-1].shift_mm / float(depth.max()))
+        if (depth > 0).sum() >= ALIGN.min_contact_samples:
+            point, stderr_mm = _fit_press(int(trial), depth, radius, force)
+            squares.append((point.depth_mm / stderr_mm) ** 2)
+            shares.append(point.depth_mm / float(depth.max()))
             dof += int((depth > 0).sum()) - 4
-    if not fits:
+    if not squares:
         return False
-    statistic = float(np.mean([(fit.shift_mm / fit.shift_stderr_mm) ** 2 for fit in fits]))
-    is_shifted = fdtrc(len(fits), dof, statistic) < BEGINS_ELSEWHERE_P
-    is_effect = abs(float(np.median(shares))) > MOST_SHIFT_SHARE
+    statistic = float(np.mean(squares))
+    is_shifted = fdtrc(len(squares), dof, statistic) < ALIGN.begins_elsewhere_p
+    is_effect = abs(float(np.median(shares))) > ALIGN.most_shift_share
     return bool(is_shifted and not is_effect)
 
 
@@ -289,10 +257,10 @@ def _with_fitted_balls(log: PressLog) -> PressLog:
         radius[rows], interval, share = _fit_radius(log.select(rows))
         shares.append(share)
         low, high = (f"{end:.3g} mm" for end in interval)
-        high = "no upper bound" if interval[1] >= 0.99 * RADII_MM[1] else high
+        high = "no upper bound" if interval[1] >= 0.99 * ALIGN.radii_mm[1] else high
         of = f" of {by} {name}" if by != "trial" else ""
         texts.append(f"{radius[rows][0]:.3g} mm{of} (95 %: {low} to {high})")
-    if radius.min() >= 0.99 * RADII_MM[1]:
+    if radius.min() >= 0.99 * ALIGN.radii_mm[1]:
         msg = (
             f"{log.path}: the larger the ball, the better it explains these curves, and k_n grows "
             "with it; give the ball's radius with --radius-mm"
@@ -319,31 +287,29 @@ def _fit_radius(log: PressLog) -> tuple[float, tuple[float, float], float]:
     for trial in log.trials:
         rows = log["trial"] == trial
         depth, force = log["depth_mm"][rows], log["force_normal_n"][rows]
-        if (depth > 0).sum() >= MIN_CURVE_SAMPLES:
+        if (depth > 0).sum() >= ALIGN.min_curve_samples:
             curves.append((depth, force))
     if not curves:
         msg = (
-            f"{log.path}: row {log.rows.min()}: no press has {MIN_CURVE_SAMPLES} samples in "
+            f"{log.path}: row {log.rows.min()}: no press has {ALIGN.min_curve_samples} samples in "
             "contact, which the radius of an unknown ball needs; give --radius-mm"
         )
         raise PressError(msg)
 
-    def fits(radius: float) -> list[tuple[FloatArray, float]]:
+    def fits(radius: float) -> list[tuple[FloatArray, float, float]]:
         return [_fit_curve(*curve, radius) for curve in curves]
 
     def squares(radius: float) -> float:
-        return sum(float(left @ left) for left, _ in fits(radius))
+        return sum(float(left @ left) for left, *_ in fits(radius))
 
-    radii = np.geomspace(*RADII_MM, N_RADII)
+    radii = np.geomspace(*ALIGN.radii_mm, ALIGN.n_radii)
     costs = np.array([squares(radius) for radius in radii])
-    near = radii[np.clip(int(np.argmin(costs)) + np.array([-1, 1]), 0, N_RADII - 1)]
+    near = radii[np.clip(int(np.argmin(costs)) + np.array([-1, 1]), 0, ALIGN.n_radii - 1)]
     best = minimize_scalar(squares, bounds=tuple(near), method="bounded", options={"xatol": 1e-3})
     found = fits(float(best.x))
-    power = sum(float(left @ left) for left, _ in found)
-    shared = sum(float(left[1:] @ left[:-1]) for left, _ in found) / max(power, 1e-300)
-    count = float(sum(len(left) for left, _ in found))
-    count *= (1.0 - max(shared, 0.0)) / (1.0 + max(shared, 0.0))
-    freedom = max(count, MIN_CURVE_SAMPLES) - 1 - 3 * len(curves)
+    residuals = [left for left, *_ in found]
+    count = sum(map(len, residuals)) / _rows_of_a_residual(residuals)
+    freedom = max(count, ALIGN.min_curve_samples) - 1 - 3 * len(curves)
     limit = best.fun * (1.0 + 3.841 / max(freedom, 1.0))
     inside = np.append(radii[costs <= limit], best.x)
     low, high = float(inside.min()), float(inside.max())
@@ -352,17 +318,17 @@ def _fit_radius(log: PressLog) -> tuple[float, tuple[float, float], float]:
         low = brentq(lambda r: squares(r) - limit, radii[radii < low][-1], low, rtol=1e-3)
     if high < radii[-1]:
         high = brentq(lambda r: squares(r) - limit, high, radii[radii > high][0], rtol=1e-3)
-    logs = [np.log(np.median([k_n for _, k_n in fits(end)])) for end in (low, high)]
+    logs = [np.log(np.median([k_n for _, k_n, _ in fits(end)])) for end in (low, high)]
     return float(best.x), (low, high), float(np.ptp(logs)) / (2 * 1.96)
 
 
 def _fit_curve(
-    depth_mm: FloatArray, force_n: FloatArray, radius_mm: float
-) -> tuple[FloatArray, float]:
-    """Residual (N,) of F = F₀ + V(d + d₀)/k of one press, and its k, mm³/N."""
+    depth_mm: FloatArray, force_n: FloatArray, radius_mm: FloatArray | float
+) -> tuple[FloatArray, float, float]:
+    """Residual (N,) of F = F₀ + V(d + d₀)/k of one press, its k, mm³/N, and its d₀, mm."""
     deepest = float(depth_mm.max())
     low, high = -0.5 * deepest, 0.2 * deepest
-    shifts = np.linspace(low, high, N_STARTS)
+    shifts = np.linspace(low, high, ALIGN.n_starts)
     force = force_n - force_n.mean()
     for _ in range(4):
         volumes = ball_volume_mm3(depth_mm + shifts[:, None], radius_mm)
@@ -370,38 +336,31 @@ def _fit_curve(
         stiffness = (volumes @ force) / np.maximum((volumes**2).sum(axis=1), 1e-300)
         left = force - stiffness[:, None] * volumes
         at = int(np.argmin((left**2).sum(axis=1)))
-        found = left[at], 1.0 / max(float(stiffness[at]), 1e-300)
+        found = left[at], 1.0 / max(float(stiffness[at]), 1e-300), float(shifts[at])
         step = shifts[1] - shifts[0]
-        shifts = np.linspace(max(low, shifts[at] - step), min(high, shifts[at] + step), N_STARTS)
+        shifts = np.linspace(
+            max(low, shifts[at] - step), min(high, shifts[at] + step), ALIGN.n_starts
+        )
     return found
-
-
-@dataclass(frozen=True, slots=True)
-class _Press:
-    """One press of a ball: the shift of its depth, its zero of force, and their errors."""
-
-    shift_mm: float
-    shift_stderr_mm: float
-    zero_n: float
-    k_stderr_share: float
 
 
 def _shift_depth(
     trial: int, depth_mm: FloatArray, radius_mm: FloatArray, force_n: FloatArray
 ) -> tuple[ContactPoint, FloatArray]:
     touching = depth_mm > 0
-    if touching.sum() < MIN_CONTACT_SAMPLES:
+    if touching.sum() < ALIGN.min_contact_samples:
         zero_n = float(np.median(force_n[~touching])) if (~touching).any() else 0.0
         return ContactPoint(trial, 0.0, zero_n), ball_volume_mm3(depth_mm, radius_mm)
-    fit = _fit_press(depth_mm, radius_mm, force_n)
-    volume = np.where(touching, ball_volume_mm3(depth_mm + fit.shift_mm, radius_mm), 0.0)
-    return ContactPoint(trial, fit.shift_mm, fit.zero_n, fit.k_stderr_share), volume
+    point, _ = _fit_press(trial, depth_mm, radius_mm, force_n)
+    return point, np.where(touching, ball_volume_mm3(depth_mm + point.depth_mm, radius_mm), 0.0)
 
 
-def _fit_press(depth_mm: FloatArray, radius_mm: FloatArray, force_n: FloatArray) -> _Press:
-    """Fit F = F₀ + V(d + d₀)/k, less a loss on the way back, to a press.
+def _fit_press(
+    trial: int, depth_mm: FloatArray, radius_mm: FloatArray, force_n: FloatArray
+) -> tuple[ContactPoint, float]:
+    """Fit F = F₀ + V(d + d₀)/k, less a loss on the way back, to a press; and the error of d₀, mm.
 
-    Least squares find where it is. As noise of the depth would pull d₀, the last steps pair each
+    From where ``_fit_curve`` finds it. As noise of the depth would pull d₀, the steps pair each
     sample with the mean of its neighbours, whose noise is not its own; the errors (HC0) hold for
     noise that grows with the depth, and are as many times wider as residuals go on for rows.
     """
@@ -410,29 +369,15 @@ def _fit_press(depth_mm: FloatArray, radius_mm: FloatArray, force_n: FloatArray)
     rest_n = float(np.median(force_n[before])) if len(before) else 0.0
     deepest = float(depth_mm.max())
     load = force_n - rest_n
-    scale_n = float(load.max())
     # The median of the rows before contact knows the zero as well as so many rows.
-    known_rows = len(before) / MEDIAN_STDERR**2
-
-    def misfit(parameters: FloatArray) -> FloatArray:
-        shift, compliance, zero = parameters
-        volume = ball_volume_mm3(depth_mm + shift, radius_mm)
-        left = (load / scale_n - zero - volume / np.exp(compliance) / scale_n)[touching]
-        return np.append(left, zero * np.sqrt(known_rows))
-
-    start = np.log(ball_volume_mm3(deepest, radius_mm[touching].mean()) / scale_n)
-    found = least_squares(
-        misfit,
-        [0.0, start, 0.0],
-        bounds=([-0.9 * deepest, -np.inf, -0.2], [2.0 * deepest, np.inf, 0.2]),
-        x_scale=[0.1 * deepest, 1.0, 0.1],
-    )
-    at = np.array([found.x[0], np.exp(-found.x[1]), scale_n * found.x[2], 0.0])
+    known_rows = len(before) / ALIGN.median_stderr**2
+    _, compliance, shift = _fit_curve(depth_mm, force_n, radius_mm)
+    at = np.array([shift, 1.0 / compliance, 0.0, 0.0])
     number = np.zeros(len(load), dtype=np.int64)
-    inside = neighbours(depth_mm[:, None], number)[:, 0] > IN_CONTACT_SHARE * deepest
+    inside = neighbours(depth_mm[:, None], number)[:, 0] > ALIGN.in_contact_share * deepest
     inside &= touching
     ones = np.ones(len(load))
-    for _ in range(INSTRUMENT_STEPS):
+    for _ in range(ALIGN.instrument_steps):
         volume = ball_volume_mm3(depth_mm + at[0], radius_mm)
         # Beside a loss of force on the way back, which would pull the shift.
         loss = np.maximum.accumulate(volume) - volume
@@ -445,19 +390,23 @@ def _fit_press(depth_mm: FloatArray, radius_mm: FloatArray, force_n: FloatArray)
         score[2] -= known_rows * at[2]
         inverse = np.linalg.pinv(matrix)
         change = inverse @ score
-        at = at + change * min(1.0, MOST_STEP_SHARE * deepest / max(abs(float(change[0])), 1e-300))
+        at = at + change * min(
+            1.0, ALIGN.most_step_share * deepest / max(abs(float(change[0])), 1e-300)
+        )
     spread = (paired * left[:, None] ** 2).T @ paired
     spread[2, 2] += known_rows * float((left**2).mean())
-    shared = float(left[1:] @ left[:-1]) / max(float(left @ left), 1e-300)
-    rows = (1.0 + max(shared, 0.0)) / (1.0 - min(max(shared, 0.0), 0.99))
-    rows *= len(left) / max(len(left) - 4, 1)
+    rows = _rows_of_a_residual([left]) * len(left) / max(len(left) - 4, 1)
     errors = np.sqrt(np.diag(inverse @ spread @ inverse.T) * rows)
-    return _Press(
-        float(at[0]),
-        max(float(errors[0]), LEAST_SHIFT_SHARE * deepest),
-        rest_n + float(at[2]),
-        float(errors[1] / at[1]),
-    )
+    point = ContactPoint(trial, float(at[0]), rest_n + float(at[2]), float(errors[1] / at[1]))
+    return point, max(float(errors[0]), ALIGN.least_shift_share * deepest)
+
+
+def _rows_of_a_residual(residuals: Sequence[FloatArray]) -> float:
+    """For how many rows residuals go on in each press, by their correlation from row to row."""
+    power = sum(float(left @ left) for left in residuals)
+    shared = sum(float(left[1:] @ left[:-1]) for left in residuals) / max(power, 1e-300)
+    shared = min(max(shared, 0.0), 0.99)
+    return (1.0 + shared) / (1.0 - shared)
 
 
 def _area_mm2(depth_mm: FloatArray, radius_mm: FloatArray) -> FloatArray:
@@ -474,17 +423,8 @@ def _shift_force(trial: int, volume_mm3: FloatArray, force_n: FloatArray) -> Con
     def misfit(parameters: FloatArray) -> FloatArray:
         return np.asarray(force - parameters[0] - parameters[1] * volume)
 
-    zero, _ = least_squares(misfit, [0.0, 1.0], loss="soft_l1", f_scale=TAIL_SHARE).x
+    zero, _ = least_squares(misfit, [0.0, 1.0], loss="soft_l1", f_scale=ALIGN.tail_share).x
     return ContactPoint(trial, 0.0, float(zero * scale[1]))
-
-
-@dataclass(frozen=True, slots=True)
-class _Zero:
-    """What a column reads at rest: pooled, and what each trial's samples are off by (T,)."""
-
-    pooled: float
-    offset: FloatArray
-    wanders: bool
 
 
 def without_zero(log: PressLog) -> PressLog:
@@ -497,13 +437,13 @@ def without_zero(log: PressLog) -> PressLog:
     first = np.flatnonzero(np.diff(trial)) + 1
     bounds: IntArray = np.concatenate([[0], first, [len(trial)]]).astype(np.int64)
     rests = _rows_at_rest(log, bounds)
-    if sum(rows.size > 0 for rows in rests) < LEAST_TRIALS:
+    if sum(rows.size > 0 for rows in rests) < ALIGN.least_trials:
         return log
     columns, notes = dict(log.columns), list(log.warnings)
     for name in ("force_normal_n", "volume_mm3", *SHEAR):
-        if name in log and (zero := _zero(log[name], rests)):
-            columns[name] = frozen_array(log[name] - np.repeat(zero.offset, np.diff(bounds)))
-            notes.append(f"{log.path}: {_sentence(name, zero)}")
+        if name in log and (zeros := _zeros(log[name], rests)) is not None:
+            columns[name] = frozen_array(log[name] - np.repeat(zeros, np.diff(bounds)))
+            notes.append(f"{log.path}: {_sentence(name, zeros)}")
     return replace(log, columns=columns, warnings=tuple(notes))
 
 
@@ -520,26 +460,32 @@ def _rest(
     count = stop - start
     for values, sigma in zip(measured, noise, strict=True):
         own = values[start:stop]
-        level = float(np.median(own[:LEAST_ROWS]))
-        reach = REACH * sigma + 1e-9 * float(np.ptp(own))
+        level = float(np.median(own[: ALIGN.least_rows]))
+        reach = ALIGN.reach_sigmas * sigma + 1e-9 * float(np.ptp(own))
         is_lowest = level - float(np.quantile(own, 0.05)) <= reach
-        if not is_lowest or own.max() - level <= PRESSED * sigma:
+        if not is_lowest or own.max() - level <= ALIGN.pressed_sigmas * sigma:
             return np.zeros(0, dtype=np.int64)
         away = np.flatnonzero(np.abs(own - level) > reach)
         count = min(count, int(away[0]) if away.size else count)
     half = count // 2
     for values, sigma in zip(measured, noise, strict=True):
         own = values[start : start + count]
-        if count < LEAST_ROWS or abs(own[-half:].mean() - own[:half].mean()) > RISE * sigma:
+        if (
+            count < ALIGN.least_rows
+            or abs(own[-half:].mean() - own[:half].mean()) > ALIGN.rise_sigmas * sigma
+        ):
             return np.zeros(0, dtype=np.int64)
     return np.arange(start, start + count, dtype=np.int64)
 
 
-def _zero(values: FloatArray, rests: Sequence[IntArray]) -> _Zero | None:
-    """The zero of a column (N,) by the rows at rest of each trial; None where it is 0 anyway."""
+def _zeros(values: FloatArray, rests: Sequence[IntArray]) -> FloatArray | None:
+    """What a column (N,) reads at rest in each trial (T,), by its rows at rest; None where it is 0.
+
+    The same in all trials unless it wanders clearly.
+    """
     seen = np.array([float(values[rows].mean()) if rows.size else np.nan for rows in rests])
     known = np.flatnonzero(np.isfinite(seen))
-    if known.size < LEAST_TRIALS:
+    if known.size < ALIGN.least_trials:
         return None
     pooled = float(np.median(seen[known]))
     own_rows = [rests[int(k)] for k in known]
@@ -550,22 +496,23 @@ def _zero(values: FloatArray, rests: Sequence[IntArray]) -> _Zero | None:
     span = float(np.nanquantile(np.abs(values - pooled), 0.99))
     between = float(seen[known].std())
     by_noise = sample / np.sqrt(float(counts.mean()))
-    wanders = between > max(APART * by_noise, LEAST_SHARE * span)
+    wanders = between > max(ALIGN.apart_sigmas * by_noise, ALIGN.least_zero_share * span)
     error = max(between, by_noise) / np.sqrt(known.size)
-    if not wanders and abs(pooled) <= max(CLEAR * error, LEAST_SHARE * span):
+    if not wanders and abs(pooled) <= max(
+        ALIGN.clear_sigmas * error, ALIGN.least_zero_share * span
+    ):
         return None
-    own = np.where(np.isfinite(seen), seen, pooled) if wanders else np.full(seen.size, pooled)
-    return _Zero(pooled, own, wanders)
+    return np.where(np.isfinite(seen) & wanders, seen, pooled)
 
 
-def _sentence(name: str, zero: _Zero) -> str:
+def _sentence(name: str, zeros: FloatArray) -> str:
     unit = {"n": "N", "mm3": "mm³", "mm": "mm"}[name.rsplit("_", 1)[1]]
-    if not zero.wanders:
+    low, high = float(zeros.min()), float(zeros.max())
+    if low == high:
         return (
-            f"{name} is {zero.pooled:.3g} {unit} at rest, before the presses: that is subtracted; "
+            f"{name} is {low:.3g} {unit} at rest, before the presses: that is subtracted; "
             "tare the gauge, or the volume of a bare gel, before you record"
         )
-    low, high = float(zero.offset.min()), float(zero.offset.max())
     return (
         f"{name} at rest differs from press to press, {low:.3g} to {high:.3g} {unit}: each "
         "press's own zero is subtracted"
@@ -598,9 +545,9 @@ def limits_of(log: PressLog) -> tuple[Limit, ...]:
             "push sideways while pressing and track the markers",
         ),
         "trials": (
-            len(log.trials) >= FEW_TRIALS,
+            len(log.trials) >= ALIGN.few_trials,
             f"{len(log.trials)} presses only: the interval rests on few repeats and is wide",
-            f"press at least {FEW_TRIALS} times, and repeat a press now and then",
+            f"press at least {ALIGN.few_trials} times, and repeat a press now and then",
         ),
         "unloading": (
             any(_is_unloaded(log, trial) for trial in log.trials),
@@ -609,7 +556,7 @@ def limits_of(log: PressLog) -> tuple[Limit, ...]:
         ),
         "hold": (
             any(_is_held(log, trial) for trial in log.trials),
-            f"no press is held for {HOLD_S:g} s near its peak: creep is unknown",
+            f"no press is held for {ALIGN.hold_s:g} s near its peak: creep is unknown",
             "hold some presses for several seconds",
         ),
         "position": (
@@ -639,10 +586,10 @@ def _is_held(log: PressLog, trial: int) -> bool:
     rows = log["trial"] == trial
     force, time_s = log["force_normal_n"][rows], log["time_s"][rows]
     held = force > 0.9 * force.max()
-    return bool(held.any() and np.ptp(time_s[held]) >= HOLD_S)
+    return bool(held.any() and np.ptp(time_s[held]) >= ALIGN.hold_s)
 
 
 def _has_places(log: PressLog) -> bool:
     known = [log[name] for name in ("x_mm", "y_mm") if name in log]
     spreads = [np.nanmax(mm) - np.nanmin(mm) for mm in known if np.isfinite(mm).any()]
-    return bool(spreads and max(spreads) >= SMALL_SPREAD_MM)
+    return bool(spreads and max(spreads) >= ALIGN.small_spread_mm)

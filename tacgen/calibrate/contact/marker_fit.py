@@ -101,10 +101,11 @@ class FieldData:
                 self._known.clear()
                 self._gels.clear()
             if grip.decay_mm not in self._gels:
-                self._gels[grip.decay_mm] = BallShear(self.sensor, grip.decay_mm)
+                gel = BallShear(self.sensor, grip.decay_mm, FIELD.field_tolerance)
+                self._gels[grip.decay_mm] = gel
             self._known[key] = self._gels[grip.decay_mm].strain(
                 np.where(np.isfinite(self.tracks.rest_mm), self.tracks.rest_mm, 0.0),
-                *(press.pressure, press.force_n, grip.friction, place, FIELD.field_tolerance),
+                *(press.pressure, press.force_n, grip.friction, place),
             )
         return self._known[key]
 

@@ -21,23 +21,29 @@ from tacgen.core.files import atomic_folder, write_text
 from tacgen.core.records import Sensor
 from tacgen.core.types import M_PER_MM
 
-PITCH_MM = 0.5
-"""Of pins: V of a ball whose contact is three pins wide is then within 2 % of k_n F."""
-TIP_MM = 0.02
-"""Radius of a pin's tip, by which it feels a body's radius too large."""
-MAX_TIME_STEP_S = 2e-3
-"""MuJoCo's default. A contact's time constant is two steps or more, and its depth goes with the
-square: with ``MASS_S2`` and ``IMPEDANCE`` it adds 0.8 % to a pin's, at half the step 0.2 %."""
-CONTACT_S = 2e-3
-"""Time constant of contacts; MuJoCo raises it to two steps."""
-MASS_S2, IMPEDANCE = 2e-7, 0.9999
-"""Mass of a pin over its spring's stiffness, from which MuJoCo derives how soft a contact is; the
-hardest contact that it allows."""
-PIN_RAD_PER_S, DAMPING_RATIO = 300.0, 0.3
-"""Of a pin's own oscillation, by an inertia that acts along the pin alone: slow enough for an
-explicit spring, and for contacts that know nothing of the damping (steps of 4 ms still hold)."""
 PAD = "pad"
 """Name of the pad's body."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PinRules:
+    """How a bed of pins is laid out."""
+
+    pitch_mm: float = 0.5  # V of a ball whose contact is three pins wide is within 2 % of k_n F
+    tip_mm: float = 0.02  # radius of a tip, by which a pin feels a body's radius too large
+    max_time_step_s: float = 2e-3  # MuJoCo's default. A contact's time constant is two steps or
+    # more, and its depth goes with the square: with ``mass_s2`` and ``impedance`` it adds 0.8 % to
+    # a pin's, at half the step 0.2 %
+    contact_s: float = 2e-3  # time constant of contacts; MuJoCo raises it to two steps
+    mass_s2: float = 2e-7  # mass of a pin over its spring's stiffness, from which MuJoCo derives
+    # how soft a contact is
+    impedance: float = 0.9999  # the hardest contact that it allows
+    pin_rad_per_s: float = 300.0  # of a pin's own oscillation, by an inertia along the pin alone:
+    # slow enough for an explicit spring, and
+    damping_ratio: float = 0.3  # for contacts that know nothing of it (steps of 4 ms still hold)
+
+
+PINS = PinRules()
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,11 +87,11 @@ def export_mujoco(law: ContactLaw, sensor: Sensor, out: Path) -> PinPad:
         msg = f"the law is {law.law}, which gives no volume; a pad of pins needs volume_linear"
         raise ContactError(msg)
     size_mm = gel_size_mm(sensor)
-    columns, rows = (max(1, round(one / PITCH_MM)) for one in size_mm)
+    columns, rows = (max(1, round(one / PINS.pitch_mm)) for one in size_mm)
     places = [
         (x, y, z)
-        for y in (PITCH_MM * (row + 0.5 - rows / 2) for row in range(rows))
-        for x in (PITCH_MM * (column + 0.5 - columns / 2) for column in range(columns))
+        for y in (PINS.pitch_mm * (row + 0.5 - rows / 2) for row in range(rows))
+        for x in (PINS.pitch_mm * (column + 0.5 - columns / 2) for column in range(columns))
         if math.isfinite(z := dome_mm(x * x + y * y, sensor.dome_radius_mm))
     ]
     k_n = law.k_n_mm3_per_n.value
@@ -94,11 +100,11 @@ def export_mujoco(law: ContactLaw, sensor: Sensor, out: Path) -> PinPad:
         left_out.append("k_s: pins do not give way sideways")
     pad = PinPad(
         pins=len(places),
-        pitch_mm=PITCH_MM,
+        pitch_mm=PINS.pitch_mm,
         gel_size_mm=size_mm,
-        pin_stiffness_n_per_mm=PITCH_MM**2 / k_n,
+        pin_stiffness_n_per_mm=PINS.pitch_mm**2 / k_n,
         k_n_mm3_per_n=k_n,
-        max_time_step_s=MAX_TIME_STEP_S,
+        max_time_step_s=PINS.max_time_step_s,
         left_out=tuple(left_out),
     )
     with atomic_folder(out) as folder:
@@ -108,9 +114,9 @@ def export_mujoco(law: ContactLaw, sensor: Sensor, out: Path) -> PinPad:
 
 def _mjcf(pad: PinPad, places: list[tuple[float, float, float]], sensor: Sensor) -> str:
     stiffness = pad.pin_stiffness_n_per_mm / M_PER_MM
-    armature, mass = stiffness / PIN_RAD_PER_S**2, stiffness * MASS_S2
-    damping = 2 * DAMPING_RATIO * stiffness / PIN_RAD_PER_S
-    tip, reach = TIP_MM * M_PER_MM, sensor.gel_depth_mm * M_PER_MM
+    armature, mass = stiffness / PINS.pin_rad_per_s**2, stiffness * PINS.mass_s2
+    damping = 2 * PINS.damping_ratio * stiffness / PINS.pin_rad_per_s
+    tip, reach = PINS.tip_mm * M_PER_MM, sensor.gel_depth_mm * M_PER_MM
     inertial = f'<inertial pos="0 0 0" mass="{mass:.4g}" diaginertia="{" ".join(["1e-12"] * 3)}"/>'
     pins = "\n".join(
         f'      <body pos="{" ".join(f"{M_PER_MM * one:.7g}" for one in place)}" gravcomp="1">'
@@ -127,8 +133,8 @@ def _mjcf(pad: PinPad, places: list[tuple[float, float, float]], sensor: Sensor)
       <joint type="slide" axis="0 0 1" stiffness="{stiffness:.8g}" damping="{damping:.4g}"
              armature="{armature:.4g}" limited="true" range="{-reach:.7g} {reach:.7g}"/>
       <geom type="sphere" size="{tip:.4g}" pos="0 0 {-tip:.4g}" contype="0" conaffinity="1"
-            friction="0 0 0" solmix="1e9" solref="{CONTACT_S:g} 1"
-            solimp="{IMPEDANCE} {IMPEDANCE} 0.001"/>
+            friction="0 0 0" solmix="1e9" solref="{PINS.contact_s:g} 1"
+            solimp="{PINS.impedance} {PINS.impedance} 0.001"/>
     </default>
   </default>
   <worldbody>

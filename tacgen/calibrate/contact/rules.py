@@ -1,6 +1,58 @@
-"""Thresholds of the fits of a contact law and of a shear field, each with its reason."""
+"""Thresholds of the zero, the contact law and the shear field of a log, each with its reason."""
 
 from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlignRules:
+    """What decides where depth, force and volume count from, and the radius of an unknown ball."""
+
+    # Where presses begin
+    min_contact_samples: int = 6  # fewer do not carry a slope and a contact point
+    median_stderr: float = 1.25  # of normal noise, in standard errors of the mean
+    begins_elsewhere_p: float = 0.1  # a shift that is fitted in vain costs certainty, one left out
+    # is an error
+    tail_share: float = 0.02  # of the largest force: several times the noise; beyond, tails
+    in_contact_share: float = 0.05  # of the deepest: nearer to the surface noise of the depth
+    # decides
+    instrument_steps: int = 6  # each a tenth of the one before it
+    most_shift_share: float = 0.15  # of the deepest, median: zeros of stages are off by less,
+    # stiffening more
+    most_step_share: float = 0.2  # of the deepest: of a longer step the direction alone is known
+    least_shift_share: float = 1e-4  # of the deepest: a shift of which changes no volume that
+    # matters
+
+    # One shift of all presses, beside effects
+    n_taus: int = 5  # time constants of creep, from what samples resolve to two presses
+    bends: tuple[float, ...] = (0.8, 2.0)  # powers of the force by which a gel yields more at
+    # first, or later
+    effect_p: float = 0.001  # one that is not there costs only that presses share a shift;
+    bent_p: float = 0.01  # stiffening that is there and is not seen becomes one
+    misfit: float = 1.15  # residuals over their noise by differences: up to 1.1 where the model
+    # holds
+    unloaded_share: float = 0.01  # of the span of force: a tenth of the deepest, or less
+    shifted_sigmas: float = 3.0  # of the shift's error
+
+    # The radius of an unknown ball
+    radii_mm: tuple[float, float] = (0.1, 100.0)  # outside are no balls that a gel is pressed with
+    n_radii: int = 121  # of a profile: 6 % apart
+    n_starts: int = 13  # contact points tried along a curve: its loss has several minima
+    min_curve_samples: int = 8  # in contact: two for each of the four numbers of a curve
+
+    # What is read at rest
+    least_rows: int = 3  # before a press
+    least_trials: int = 3  # that have them
+    reach_sigmas: float = 5.0  # of a sample's noise that a row at rest may be off
+    rise_sigmas: float = 3.0  # of the halves of a rest: more is a press that has begun
+    pressed_sigmas: float = 10.0  # that a press rises above its rest
+    apart_sigmas: float = 2.0  # of their means that zeros of trials differ by where they wander
+    clear_sigmas: float = 5.0  # standard errors that a zero must be off,
+    least_zero_share: float = 0.005  # and share of a column's span: less is below any interval
+
+    # What a log leaves open
+    few_trials: int = 10  # with fewer presses the t quantile makes intervals clearly wider
+    small_spread_mm: float = 1.0  # positions closer than a contact is wide are one place
+    hold_s: float = 1.0  # long enough to tell creep from the speed of loading
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,5 +122,6 @@ class FieldRules:
     # rig they agree to 0.03
 
 
+ALIGN = AlignRules()
 RULES = LawRules()
 FIELD = FieldRules()

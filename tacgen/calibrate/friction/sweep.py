@@ -22,10 +22,16 @@ SweepKey = tuple[str, float]
 """(grasp_id, μ)."""
 
 
-LEAST_WRONG_SHARE = 0.1
-"""Of labels that the interval allows to be wrong although fewer are seen to be: of 10 labels none
-is, 35 times of 100."""
-MISSED = 0.05  # how often the interval may miss the true μ, both sides together
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SweepRules:
+    """What decides which μ explain labels."""
+
+    least_wrong_share: float = 0.1  # of labels that the interval allows to be wrong although fewer
+    # are seen to be: of 10 labels none is, 35 times of 100
+    missed: float = 0.05  # how often the interval may miss the true μ, both sides together
+
+
+RULES = SweepRules()
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +86,7 @@ def explaining(simulated: IntArray, real: IntArray) -> BoolArray:
     Grasps that no μ tells apart have one label, that of their majority: none where it is even. From
     the true μ on, every label that is passed adds a mislabel, or takes one away where it is wrong:
     a random walk, which ever falls by t with the probability (p/(1−p))^t on either side, p being
-    the share of wrong labels. Falls that are likelier than ``MISSED`` are allowed.
+    the share of wrong labels. Falls that are likelier than ``RULES.missed`` are allowed.
 
     Source: Feller 1968, An Introduction to Probability Theory, vol. 1, XIV.2 (the ruin).
     """
@@ -88,9 +94,9 @@ def explaining(simulated: IntArray, real: IntArray) -> BoolArray:
     votes = np.bincount(which.ravel(), 2.0 * real - 1.0)
     counted = (votes != 0) & (distinct != distinct[0]).any(axis=0)
     curve = (distinct != (votes > 0))[:, counted].sum(axis=1)
-    share = max(LEAST_WRONG_SHARE, curve.min() / max(counted.sum(), 1))
+    share = max(RULES.least_wrong_share, curve.min() / max(counted.sum(), 1))
     ratio = share / (1.0 - share) if share < 1.0 else 1.0
-    return np.asarray(2.0 * ratio ** (curve - curve.min()) > MISSED)
+    return np.asarray(2.0 * ratio ** (curve - curve.min()) > RULES.missed)
 
 
 def best_mu(mu_values: FloatArray, mislabels: IntArray) -> float:

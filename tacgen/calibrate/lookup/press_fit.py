@@ -24,10 +24,6 @@ from tacgen.presses.experiments import is_clear
 from tacgen.presses.geometry import MAX_RADIUS_SHARE, Membrane, PressedGel, rest_height, rest_slope
 from tacgen.presses.press_images import PressImages, label_mm, place_mm
 
-ROUGH_DEGREE, ROUGH_POSITION_DEGREE, ROUGH_RIDGE = 4, 3, 1e-4
-"""Presses are placed with a model of at most these degrees and at least this ridge: a stiffer one
-moves contacts to explain light, a softer one bends to explain contacts out of place."""
-
 LABEL_SCATTER_RADII = np.array(
     [RULES.center_scatter_radii, RULES.center_scatter_radii, RULES.radius_scatter_radii]
 )
@@ -259,9 +255,9 @@ def place_jointly(
     thinned = prepared.samples(background, RULES.pixels_to_place)
     labels = np.array([sample.label for sample in thinned])
     rough = FitSettings(
-        min(settings.degree, ROUGH_DEGREE),
-        min(settings.position_degree, ROUGH_POSITION_DEGREE),
-        max(settings.ridge, ROUGH_RIDGE),
+        min(settings.degree, RULES.rough_settings.degree),
+        min(settings.position_degree, RULES.rough_settings.position_degree),
+        max(settings.ridge, RULES.rough_settings.ridge),
         settings.bend,
     )
     if start is None:
@@ -381,44 +377,62 @@ def _expected(presses: PressImages, labels: LabelModel) -> tuple[FloatArray, Flo
     return expected, scatter
 
 
+@dataclass(frozen=True, slots=True)
+class PlacePrior:
+    """What is known of a press's place before its picture is looked at.
+
+    ``expected`` (3,), mm, and ``scatter`` (3,), label radii, are mean and standard deviations of
+    centre and contact radius; ``label_mm`` and ``ball_mm`` the radii of the label and of the ball.
+    """
+
+    expected: FloatArray
+    scatter: FloatArray
+    label_mm: float
+    ball_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Descent:
+    """How a place is searched: moved by ``nudge`` for derivatives, settled below ``tolerance``.
+
+    Both in label radii.
+    """
+
+    nudge: float
+    steps: int
+    tolerance: float
+
+
 def place_press(
     grey: Callable[[FloatArray], FloatArray],
     target: FloatArray,
-    expected: FloatArray,
-    scatter: FloatArray,
     weight: FloatArray,
-    radii_mm: tuple[float, float],
+    prior: PlacePrior,
     start: FloatArray,
-    *,
-    nudge: float,
-    steps: int,
-    tolerance: float,
+    descent: Descent,
 ) -> FloatArray:
     """Centre and contact radius (3,), mm, of one press: Gauss–Newton from a start.
 
     ``grey`` gives the press's grey levels (n, 3) at a place, ``target`` (n, 3) is what they should
-    be, ``weight`` (n,) that of each pixel. ``expected`` (3,), mm, and ``scatter`` (3,), label
-    radii, are the prior's mean and deviations, ``radii_mm`` those of the label and of the ball. A
-    place is moved by ``nudge`` for derivatives and settled below ``tolerance``, label radii both.
+    be, ``weight`` (n,) that of each pixel.
     """
-    label_mm, ball_mm = radii_mm
-    moves_mm = nudge * label_mm * np.eye(3)
-    prior = 1.0 / (scatter * label_mm) ** 2
+    label_mm, nudge_mm = prior.label_mm, descent.nudge * prior.label_mm
+    held = 1.0 / (prior.scatter * label_mm) ** 2
     precision = np.repeat(weight, 3) / (RULES.noise_grey**2 * RULES.correlated_pixels)
     place = np.array(start, dtype=np.float64)
-    for _ in range(steps):
+    for _ in range(descent.steps):
         value = grey(place)
-        columns = [(grey(place + m) - value).ravel() / (nudge * label_mm) for m in moves_mm]
+        columns = [(grey(place + m) - value).ravel() / nudge_mm for m in nudge_mm * np.eye(3)]
         jacobian = np.stack(columns, axis=-1)
         weighted = jacobian * precision[:, None]
         step = np.linalg.solve(
-            weighted.T @ jacobian + np.diag(prior),
-            weighted.T @ (target - value).ravel() - prior * (place - expected),
+            weighted.T @ jacobian + np.diag(held),
+            weighted.T @ (target - value).ravel() - held * (place - prior.expected),
         )
         longest = RULES.largest_step_radii * label_mm
         place += np.clip(step, -longest, longest)
-        place[2] = np.clip(place[2], 0.1 * label_mm, MAX_RADIUS_SHARE * ball_mm)
-        if np.abs(step).max() < tolerance * label_mm:
+        place[2] = np.clip(place[2], 0.1 * label_mm, MAX_RADIUS_SHARE * prior.ball_mm)
+        if np.abs(step).max() < descent.tolerance * label_mm:
             break
     return place
 
@@ -443,11 +457,11 @@ def _place_sample(
         surface = press_model.surface(place, sample.ball_radius_mm, sample.pixels)
         return weighed(light_terms(*surface, model.degree, model.bend), at_places)
 
-    radii_mm = float(sample.label[2]), sample.ball_radius_mm
-    return place_press(
-        grey, target, expected, scatter, sample.weight, radii_mm, start,
-        nudge=1e-3, steps=5, tolerance=0.02,
-    )  # fmt: skip
+    prior = PlacePrior(expected, scatter, float(sample.label[2]), sample.ball_radius_mm)
+    return place_press(grey, target, sample.weight, prior, start, _ROUGH_DESCENT)
+
+
+_ROUGH_DESCENT = Descent(nudge=1e-3, steps=5, tolerance=0.02)
 
 
 def _refine_membrane(

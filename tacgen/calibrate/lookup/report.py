@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tacgen.calibrate.lookup.press_fit import predicted
 from tacgen.calibrate.lookup.score import PressRenderer
+from tacgen.calibrate.lookup.settings import RULES
 from tacgen.calibrate.lookup.table_fit import Calibration
 from tacgen.core.images import difference, evenly, no_wider, side_by_side
 from tacgen.core.types import FloatArray
@@ -17,11 +18,8 @@ from tacgen.presses.press_images import PressImages
 from tacgen.report import figures as plots
 from tacgen.report.page import write_page
 
-MAX_PICTURES = 6  # from the press with the smallest error to that with the largest
-PICTURE_WIDTH_PX = 320  # four pictures fit into a page's width
 DIFFERENCE_GAIN = 4  # errors of a few grey levels become visible
 RADIUS_EDGES = np.linspace(0, 2.5, 26)  # rings, in labelled radii, whose residual is shown
-DRAWN_PIXELS = 150  # of a press, in the figure of fit and residual
 CHANNEL_COLORS = {"R": "C3", "G": "C2", "B": "C0"}
 
 
@@ -54,14 +52,14 @@ def _pictures(
     ]
     strips = []
     scored = sorted(enumerate(calibration.heldout.presses), key=lambda one: one[1].rmse("refined"))
-    for k, press in (scored[place] for place in evenly(len(scored), MAX_PICTURES)):
+    for k, press in (scored[place] for place in evenly(len(scored), RULES.drawn_presses)):
         renderer = renderers[calibration.folds[k]]
         made = renderer.picture(press.refined_mm, float(presses.ball_radius_mm[k]))
         real = presses.images[k]
         strip = [real, made, difference(real, made, DIFFERENCE_GAIN)]
         caption = f"{press.name}: {press.rmse('refined'):.2f} grey levels in the contact"
         strips.append(
-            (caption, side_by_side([no_wider(image, PICTURE_WIDTH_PX) for image in strip]))
+            (caption, side_by_side([no_wider(image, RULES.drawn_width_px) for image in strip]))
         )
     return strips
 
@@ -69,7 +67,7 @@ def _pictures(
 def _residual_figure(calibration: Calibration) -> Figure:
     """Measured over fitted change at some pixels of all presses; its error by the distance."""
     fit = calibration.fit
-    samples = calibration.presses.samples(calibration.background, DRAWN_PIXELS)
+    samples = calibration.presses.samples(calibration.background, RULES.drawn_pixels)
     radius: list[FloatArray] = []
     fitted: list[FloatArray] = []
     for sample, place in zip(samples, fit.geometry, strict=True):

@@ -22,8 +22,7 @@ from tacgen.optics.table import LookupTable
 from tacgen.presses.geometry import rest_height
 from tacgen.presses.press_images import PressImages, label_mm, place_mm
 
-_MARGIN_PX = 3  # the renderer's differences reach this far beyond the pixels that are read
-_KEPT_SHADERS = 6  # a step of a fit goes through a few values of an effect, press by press
+_FINE_DESCENT = press_fit.Descent(nudge=0.01, steps=10, tolerance=2e-3)
 
 PICTURES = ("labels", "refined", "bare")
 """What a press is compared with: the table at the label's word, at the place re-estimated, and the
@@ -159,7 +158,7 @@ class PressRenderer:
         shader = self._shader(effects)
         depth_mm = ball_radius_mm - math.sqrt(max(ball_radius_mm**2 - geometry[2] ** 2, 0.0))
         shape = self.table.shape_px
-        window = grown(window, shader.image_reach_px(depth_mm) + _MARGIN_PX, shape)
+        window = grown(window, shader.image_reach_px(depth_mm) + RULES.margin_px, shape)
         top, bottom, left, right = grown(window, shader.slope_reach_px, shape)
         rows, columns = np.arange(top, bottom, dtype=float), np.arange(left, right, dtype=float)
         x_mm, y_mm = place_mm(columns, rows[:, None], shape, self.table.mm_per_px)
@@ -171,7 +170,7 @@ class PressRenderer:
         """The table made ready with some effects; the last few are kept."""
         key = repr(effects)
         if key not in self._shaders:
-            kept = list(self._shaders.items())[-_KEPT_SHADERS:]
+            kept = list(self._shaders.items())[-RULES.kept_shaders :]
             self._shaders = {**dict(kept), key: kept[0][1].with_effects(effects)}
         return self._shaders[key]
 
@@ -271,7 +270,8 @@ def _score_press(
     presses: PressImages, k: int, expected: FloatArray, renderer: PressRenderer
 ) -> PressScore:
     ball = float(presses.ball_radius_mm[k])
-    radii_mm = float(presses.radius_px[k] * presses.mm_per_px), ball
+    label_mm = float(presses.radius_px[k] * presses.mm_per_px)
+    prior = press_fit.PlacePrior(expected, press_fit.LABEL_SCATTER_RADII, label_mm, ball)
     pixels = disc_pixels(presses, k, reach=RULES.ring_radii[-1])
     x, y = presses.center_px[k]
     distance = np.sqrt((pixels.columns - x) ** 2 + (pixels.rows - y) ** 2)
@@ -289,11 +289,9 @@ def _score_press(
         place = expected
         if estimating.any() and scoring.any():
             seen = pixels.select(estimating)
-            place = press_fit.place_press(
-                partial(renderer.grey, ball_radius_mm=ball, pixels=seen), seen.grey, expected,
-                press_fit.LABEL_SCATTER_RADII, np.full(len(seen), step**2), radii_mm, expected,
-                nudge=0.01, steps=10, tolerance=2e-3,
-            )  # fmt: skip
+            grey = partial(renderer.grey, ball_radius_mm=ball, pixels=seen)
+            weight = np.full(len(seen), step**2)
+            place = press_fit.place_press(grey, seen.grey, weight, prior, expected, _FINE_DESCENT)
         if scoring.any():
             scored = pixels.select(scoring)
             errors[scoring, 1] = scored.grey - renderer.grey(place, ball, scored)

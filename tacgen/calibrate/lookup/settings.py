@@ -83,9 +83,16 @@ class LookupRules:
         BackgroundRecipe(smooth=0.05),
         SMOOTH_WITH_DRIFT,
     )
+    tilt_cost: float = (
+        1000.0  # times the ridge, on the contact's terms in nx and ny: what the slope
+    )
+    # itself explains is the slope's, or a picture read backwards shows contacts too wide
     n_folds: int = 5  # of whole presses, to choose and to score
 
     # How a press is placed
+    rough_settings: FitSettings = FitSettings(degree=4, position_degree=3, ridge=1e-4)  # by a model
+    # of at most these degrees and at least this ridge: a stiffer one moves contacts to explain
+    # light, a softer one bends to explain contacts out of place
     expected_radius_share: float = 0.95  # of the ball's radius, the largest expected contact: a fit
     # may still go up to ``MAX_RADIUS_SHARE``
     largest_step_radii: float = 0.06  # of a Gauss–Newton step: the model is linear over no more
@@ -128,6 +135,17 @@ class LookupRules:
     ratio_settings: FitSettings = FitSettings(degree=4, position_degree=2, ridge=1e-4)  # few terms
     # tell the size of a ball as well and are fitted five times a ball
     bootstraps: int = 200  # draws of presses: the standard error of a ratio to 5 %
+
+    # Pictures of presses that a table renders
+    margin_px: int = 3  # the renderer's differences reach so far beyond the pixels that are read
+    kept_shaders: int = 6  # a step of a fit goes through a few values of an effect, press by press
+    drawn_presses: int = 6  # from that with the smallest error to that with the largest
+    drawn_width_px: int = 320  # four fit into a page's width
+    drawn_pixels: int = 150  # of a press, in the figure of fit and residual
+
+    # Taxim's files
+    max_polycalib_bytes: int = 1 << 26  # one of 125 bins, the most that Taxim uses, has 2 MB
+    max_background_bytes: int = 1 << 28
 
     # What is warned of
     many_presses: int = 30  # spread over the gel: the held-out error hardly falls any more

@@ -22,7 +22,7 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 from scipy import linalg
 
-from tacgen.calibrate.lookup.settings import FitSettings
+from tacgen.calibrate.lookup.settings import RULES, FitSettings
 from tacgen.core.types import FloatArray
 
 
@@ -87,10 +87,6 @@ def design(terms: FloatArray, position: FloatArray) -> FloatArray:
     return (terms.T[:, None] * position.T[None]).reshape(-1, len(terms)).T
 
 
-TILT_COST = 1000.0
-"""And more for the contact's terms in nx and ny: what the slope itself explains is the slope's, or
-a picture read backwards shows contacts too wide."""
-
 LIGHT_COST = float(np.exp(-1.0))
 """The ridge charges less for the light than for a constant: that a slope's change is in proportion
 to the light at its place is what physics expects."""
@@ -101,7 +97,7 @@ def ridge_costs(degree: int, position_degree: int) -> FloatArray:
     orders = [float(k) for k in range(position_degree + 1) for _ in range(k + 1)]
     cost = np.append(np.exp(orders), np.full(N_LIGHT, LIGHT_COST))
     terms = np.ones(n_light_terms(degree))
-    terms[-2:] = TILT_COST
+    terms[-2:] = RULES.tilt_cost
     return np.outer(terms, cost).ravel()
 
 

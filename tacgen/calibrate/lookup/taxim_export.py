@@ -27,17 +27,24 @@ from tacgen.optics.render import Shader
 from tacgen.optics.shade import whole_spans
 from tacgen.optics.table import N_FEATURES, LookupTable
 
-BINS = 125
-"""Of slope and of direction, as in the tables that Taxim ships."""
-PLACES = 5  # of simulated presses, each way
-FITTED_BALLS = ((0.10, 30.0), (0.10, 55.0), (0.20, 20.0), (0.20, 40.0))
-"""Radius in heights of the window, and steepest slope in degrees, of the balls that it is fitted
-to."""
-SCORED_BALLS = ((0.14, 45.0), (0.16, 30.0))
-"""Of those that the loss is measured on, which stand between the places of the others."""
-PRIOR_PIXELS = 25.0
-"""Weight, in pixels, of the table's own quadratic where few simulated pixels have a slope."""
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TaximRules:
+    """How Taxim's form is fitted to a table, and its loss measured."""
+
+    bins: int = 125  # of slope and of direction, as in the tables that Taxim ships
+    places: int = 5  # of simulated presses, each way
+    fitted_balls: tuple[tuple[float, float], ...] = (
+        *((0.10, 30.0), (0.10, 55.0)),
+        *((0.20, 20.0), (0.20, 40.0)),
+    )  # radius in heights of the window, and steepest slope in degrees, of those it is fitted to
+    scored_balls: tuple[tuple[float, float], ...] = ((0.14, 45.0), (0.16, 30.0))  # that the loss is
+    # measured on, which stand between the places of the others
+    prior_pixels: float = 25.0  # weight, in pixels, of the table's own quadratic where few
+    # simulated pixels have a slope
+
+
+RULES = TaximRules()
 TAXIM_PX_MM = 0.0295
 TAXIM_PYRAMID_PX = (30.5, 15.5, 8.0, 3.5, 2.0, 1.1)
 """Taxim's deformation, widths of its Gaussians at ``TAXIM_PX_MM``: ``calib/gelsight`` of the
@@ -117,7 +124,7 @@ def taxim_coefficients(table: LookupTable, sensor: Sensor) -> NDArray[np.float64
         turned = np.roll(table.coefficients.astype(np.float64), 1 - n_slope, axis=1)
         sectors = turned[:, 1::2]  # both halves of each are alike
         return np.asarray(np.concatenate([sectors, sectors[:, :1]], axis=1) @ to_pixels)
-    return np.asarray(_fitted(table, sensor, BINS) @ to_pixels)
+    return np.asarray(_fitted(table, sensor, RULES.bins) @ to_pixels)
 
 
 def _sensor(table: LookupTable, dome_radius_mm: float | None) -> Sensor:
@@ -158,7 +165,7 @@ def _fitted(table: LookupTable, sensor: Sensor, bins: int) -> NDArray[np.float64
     right = np.zeros((N_FEATURES, 3, n_bins))
     place = _places(table.shape_px)
     shader = Shader(table)
-    presses = list(_presses(sensor, FITTED_BALLS, 0.0))
+    presses = list(_presses(sensor, RULES.fitted_balls, 0.0))
     rest_mm = gel_map_mm(sensor)
     for pressed_mm, weight in [(rest_mm, float(len(presses))), *((one, 1.0) for one in presses)]:
         change = _lit(shader, pressed_mm) - table.background
@@ -180,7 +187,7 @@ def _fitted(table: LookupTable, sensor: Sensor, bins: int) -> NDArray[np.float64
                 right[a, channel] += np.bincount(seen, weighted * colors[:, channel], n_bins)
     prior = _prior(table, bins).reshape(n_bins, 3, N_FEATURES)
     # The prior weighs like pixels that are spread over the whole window.
-    spread = PRIOR_PIXELS * (place @ place.T) / place.shape[1]
+    spread = RULES.prior_pixels * (place @ place.T) / place.shape[1]
     matrix = normal.transpose(2, 0, 1) + spread
     vector = right.transpose(2, 0, 1) + np.einsum("ab,ncb->nac", spread, prior)
     solved = np.linalg.solve(matrix, vector)
@@ -234,7 +241,7 @@ def _presses(
     for of_height, degrees in balls:
         radius_mm = of_height * side_mm
         depth_mm = min(radius_mm * (1 - math.cos(math.radians(degrees))), sensor.gel_depth_mm)
-        steps = (np.arange(PLACES - (offset > 0)) + offset) / (PLACES - 1) - 0.5
+        steps = (np.arange(RULES.places - (offset > 0)) + offset) / (RULES.places - 1) - 0.5
         for down in steps * 0.8 * sensor.height_px * sensor.mm_per_px:
             for across in steps * 0.8 * sensor.width_px * sensor.mm_per_px:
                 square = (x_mm[None, :] - across) ** 2 + (y_mm[:, None] - down) ** 2
@@ -260,7 +267,7 @@ def _loss(table: LookupTable, by_pixel: NDArray[np.float64], sensor: Sensor) -> 
 
     at_rest, rest_lit = off(rest_mm)
     total = np.zeros(3)
-    for surface_mm in _presses(sensor, SCORED_BALLS, 0.5):
+    for surface_mm in _presses(sensor, RULES.scored_balls, 0.5):
         differences, lit = off(surface_mm)
         sunk = rest_mm - surface_mm
         contact = sunk > 0.25 * sunk.max()

@@ -13,14 +13,13 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.calibrate.lookup.settings import RULES
 from tacgen.core.errors import TableError
 from tacgen.core.files import sha256_of
 from tacgen.core.resources import __version__
 from tacgen.core.safe_io import check_archive, read_npy, read_rgb
 from tacgen.optics.table import N_FEATURES, LookupTable, save_table
 
-MAX_POLYCALIB_BYTES = 1 << 26  # one of 125 bins, the most that Taxim uses, has 2 MB
-MAX_BACKGROUND_BYTES = 1 << 28
 CHANNELS_RGB = ("grad_b", "grad_g", "grad_r")
 """Which of its arrays holds which channel: Taxim names OpenCV's first channel r."""
 
@@ -105,7 +104,7 @@ def pixel_features_from_position(shape_px: tuple[int, int]) -> NDArray[np.float6
 
 def _read_polycalib(path: Path) -> dict[str, NDArray[np.float64]]:
     try:
-        check_archive(path, MAX_POLYCALIB_BYTES)
+        check_archive(path, RULES.max_polycalib_bytes)
         with np.load(path, allow_pickle=False) as archive:
             missing = [name for name in CHANNELS_RGB if name not in archive.files]
             if missing:
@@ -142,7 +141,7 @@ def _read_background(path: Path) -> NDArray[np.float64]:
     image = None
     try:
         if path.suffix == ".npy":
-            image = read_npy(path, MAX_BACKGROUND_BYTES)
+            image = read_npy(path, RULES.max_background_bytes)
         elif path.suffix == ".npz":
             check_archive(path)
             with np.load(path, allow_pickle=False) as archive:

@@ -41,7 +41,8 @@ class ChannelData:
     ``n_samples`` how many samples of the log the rows were averaged from; ``weight`` (N,) the
     number of samples times their relative precision, 0 for what sticks out of its trial. ``first``
     (M,) are the rows that another of their trial follows, and ``pair_unit`` (M,) the unit (trial,
-    or part of one where trials are few) that each such pair belongs to, ascending.
+    or part of one where trials are few) that each such pair belongs to, ascending; ``few_trials``
+    says that the whole log has so few trials that parts of them are the units.
     """
 
     channel: Channel
@@ -54,6 +55,7 @@ class ChannelData:
     weight: FloatArray
     first: NDArray[np.int64]
     pair_unit: NDArray[np.int64]
+    few_trials: bool
 
     @property
     def n_outputs(self) -> int:
@@ -64,11 +66,6 @@ class ChannelData:
     def n_units(self) -> int:
         """Number of units."""
         return int(self.pair_unit.max()) + 1
-
-    @property
-    def few_trials(self) -> bool:
-        """Whether all units are parts of trials, since trials are few."""
-        return self.history.n_trials < self.rules.min_trials_as_units
 
     @property
     def min_gain(self) -> float:
@@ -84,6 +81,11 @@ class ChannelData:
         return unit
 
     @property
+    def unit_rows(self) -> NDArray[np.int64]:
+        """How many rows each unit (U,) has."""
+        return np.bincount(self.pair_unit, minlength=self.n_units)
+
+    @property
     def unit_trial(self) -> NDArray[np.int64]:
         """The trial of each unit (U,)."""
         trial = np.zeros(self.n_units, dtype=np.int64)
@@ -97,15 +99,15 @@ class ChannelData:
             return np.arange(self.n_units) % min(count, self.n_units)
         return self.unit_trial % min(count, n_trials)
 
-    def memory_units(self, reduced: FloatArray) -> int:
-        """Over how many units a residual (R,) correlates, as noise with a memory does.
+    def memory_rows(self, reduced: FloatArray) -> float:
+        """Over how many rows a residual (R,) correlates, as noise with a memory does.
 
-        1 where units are trials. Else twice its integrated autocorrelation time: so far apart, rows
+        0 where units are trials. Else twice its integrated autocorrelation time: so far apart, rows
         hardly correlate.
         Source: Geyer 1992, Statistical Science 7: the sum ends where the correlation does.
         """
         if not self.few_trials:
-            return 1
+            return 0.0
         rows = reduced.reshape(-1, self.n_outputs)
         lengths = np.diff(self.history.starts)
         within = self.history.trial_index
@@ -116,8 +118,7 @@ class ChannelData:
             if correlation < 0.05:
                 break
             time += 2.0 * correlation
-        rows_per_unit = self.history.n_samples / self.n_units
-        return max(1, round(2.0 * time / rows_per_unit))
+        return 2.0 * time
 
     @cached_property
     def span(self) -> float:
@@ -223,6 +224,8 @@ class ChannelSamples:
                 columns[name] = np.add.reduceat(ordered * share, edges) / total
         session = self._session.thinned(rows).history if self._session else None
         thinned = LoadHistory(columns, session)
+        log = self._session.history if self._session else history
+        few = log.n_trials < self.rules.min_trials_as_units
         return ChannelData(
             self.channel,
             self.rules,
@@ -232,7 +235,8 @@ class ChannelSamples:
             self.noise,
             history.n_samples,
             weight,
-            *_pairs(thinned.starts, self.rules),
+            *_pairs(thinned, self.rules, few_trials=few),
+            few,
         )
 
     def every_sample(self) -> ChannelData:
@@ -246,17 +250,23 @@ def linear_compliance(load: FloatArray, target: FloatArray) -> float:
 
 
 def _pairs(
-    starts: NDArray[np.int64], rules: ContactRules
+    history: LoadHistory, rules: ContactRules, *, few_trials: bool
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The rows (M,) that another of their trial follows, and the unit (M,) of each such pair."""
-    n_trials = starts.size - 1
-    few = n_trials < rules.min_trials_as_units
-    parts = int(np.ceil(rules.min_units / max(n_trials, 1))) if few else 1
+    """The rows (M,) that another of their trial follows, and the unit (M,) of each such pair.
+
+    Where trials are few, units are parts of them in which as much happens: half of it is time, half
+    the way that the smoothed load goes.
+    """
+    starts, n_trials = history.starts, history.n_trials
+    parts = int(np.ceil(rules.min_units / max(n_trials, 1))) if few_trials else 1
+    loads = np.column_stack([history.normal_smooth_n, history.force_shear_n])
     firsts, units = [], []
     for trial, (start, stop) in enumerate(pairwise(starts)):
         firsts.append(np.arange(start, stop - 1, dtype=np.int64))
         count = firsts[-1].size
-        units.append(trial * parts + np.arange(count) * parts // max(count, 1))
+        way = np.linalg.norm(np.diff(loads[start:stop], axis=0), axis=1) + 1e-12
+        share = 0.5 * np.arange(count) / max(count, 1) + 0.5 * (np.cumsum(way) - way) / way.sum()
+        units.append(trial * parts + (share * parts).astype(np.int64))
     unit = np.unique(np.concatenate(units), return_inverse=True)[1].astype(np.int64)
     return np.concatenate(firsts), unit
 

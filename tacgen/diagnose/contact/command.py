@@ -26,7 +26,7 @@ from tacgen.diagnose.contact import heldout, result
 from tacgen.diagnose.contact.channel import TARGETS, ChannelData, ChannelSamples, noise_floor
 from tacgen.diagnose.contact.heldout import Errors
 from tacgen.diagnose.contact.model import Fit, Model, fit_model, standard_errors, without_noise_bias
-from tacgen.diagnose.contact.residuals import dependences
+from tacgen.diagnose.contact.residuals import COURSE, EACH_PRESS, dependences, of_each_press
 from tacgen.diagnose.contact.search import Attribution, ContactProblem
 from tacgen.diagnose.evidence import Dependence, gain_interval_95
 from tacgen.diagnose.markers.diagnose import diagnose_markers
@@ -221,6 +221,13 @@ class _Channel:
         skip = () if self._session_clock else ("time_s",)
         before_structure = dependences(data, base, rng, skip)
         after_structure = dependences(data, final, rng, skip)
+        floor = noise_floor(left, samples.history.starts)
+        found = _unexplained(attribution, data, base, final, after_structure)
+        least = max(rules.clearly_more * floor, rules.exact_share * self._rms)
+        if not found and after.rmse > least:
+            share = of_each_press(data, final)
+            name = EACH_PRESS if share > rules.share_of_presses else COURSE
+            found = (Dependence(name, float("nan"), share if name == EACH_PRESS else 1.0 - share),)
         return result.ChannelDiagnosis(
             data=data,
             attribution=attribution,
@@ -236,7 +243,7 @@ class _Channel:
             gain_interval=gain_interval_95(
                 before.squares, after.squares, _reduction, rules.n_shuffles, rng
             ),
-            floor=noise_floor(left, samples.history.starts),
+            floor=floor,
             n_spikes=int((every.precision == 0).sum()),
             gp_rmse=gp,
             n_fit=fitted.history.n_trials,
@@ -244,7 +251,7 @@ class _Channel:
             how=how,
             dependences_before=before_structure,
             dependences_after=after_structure,
-            unexplained=_unexplained(attribution, data, base, final, after_structure),
+            unexplained=found,
         )
 
     def _test_errors(

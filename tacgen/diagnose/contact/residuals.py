@@ -18,6 +18,8 @@ from tacgen.diagnose.evidence import Dependence
 DEGREE = 3  # in a covariate that a residual is tested for
 NAMED = ("x_mm", "y_mm", "radius_mm", "temperature_c", "indenter")
 """Columns of a press log that a residual may follow; every column that is not known may too."""
+EACH_PRESS, COURSE = "press", "course_of_the_press"
+"""What a residual follows that no column explains: a gain or zero of each press, or its course."""
 
 
 def covariates_of(data: ChannelData, skip: Sequence[str] = ()) -> dict[str, NDArray[Any]]:
@@ -73,8 +75,8 @@ def dependences(
     # Corrections stay as fitted: between neighbours, their similar columns are nearly singular.
     own = replace(fit, jacobian=fit.jacobian[:, ~fit.prior[:, :-1].any(axis=0)])
     grams, (*groups, ones), base = scores.fit_grams(data, own, [*blocks.values(), data.ones])
-    shuffled = scores.shuffles(data.unit_trial, data.rules.n_shuffles, rng)
-    shuffled = shuffled.of_blocks(data.memory_units(fit.residual))
+    shuffled = scores.shuffles(data.unit_trial, data.rules.n_shuffles, rng, data.unit_rows)
+    shuffled = shuffled.of_blocks(data.memory_rows(fit.residual))
     p_values = scores.p_values(grams, base, groups, shuffled, ones, parts_of_trials=data.few_trials)
     sets = [base, *([*base, *group] for group in groups)]
     without, *losses = scores.cv_losses(grams, data.folds(), sets, scores.RIDGE).sum(axis=1)
@@ -84,6 +86,29 @@ def dependences(
         for name, p, loss in zip(blocks, p_values, losses, strict=True)
     ]
     return tuple(sorted(found, key=lambda d: (d.p_value, -d.gain)))
+
+
+def of_each_press(data: ChannelData, fit: Fit) -> float:
+    """The share of the residual's squares that a gain and a zero of each trial explain.
+
+    Fitted to one half of a trial's rows and scored on the other: blocks of ``rules.own_block`` rows
+    in turn.
+    """
+    history, rows = data.history, np.arange(data.history.n_samples)
+    residual = data.target - fit.model.response(data)
+    design = np.column_stack([fit.model.law_response(data) / data.span, np.ones(rows.size)])
+    weight = np.sqrt(data.weight)[:, None]
+    left = residual.copy()
+    odd = (rows - history.starts[history.trial_index]) // data.rules.own_block % 2 == 1
+    for trial in range(history.n_trials):
+        own = history.trial_index == trial
+        for scored in (odd, ~odd):
+            kept, other = own & ~scored, own & scored
+            root = design[kept] * weight[kept]
+            found = np.linalg.lstsq(root, residual[kept] * weight[kept], rcond=1e-3)[0]
+            left[other] -= design[other] @ found
+    before, after = (float((one**2 * weight**2).sum()) for one in (residual, left))
+    return 1.0 - after / max(before, 1e-300)
 
 
 def _basis(values: NDArray[Any], most_levels: int) -> list[FloatArray]:

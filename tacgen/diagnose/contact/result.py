@@ -17,6 +17,7 @@ from tacgen.diagnose.contact.candidates import follows_load, known_columns, max_
 from tacgen.diagnose.contact.channel import OUTLIER_SIGMAS, ChannelData
 from tacgen.diagnose.contact.heldout import Errors
 from tacgen.diagnose.contact.model import Fit, StandardErrors, Term
+from tacgen.diagnose.contact.residuals import COURSE, EACH_PRESS
 from tacgen.diagnose.contact.search import Attribution, Chosen
 from tacgen.diagnose.evidence import Dependence
 from tacgen.diagnose.markers.diagnose import MarkerDiagnosis
@@ -97,7 +98,7 @@ class ChannelDiagnosis(record.Summarised):
                 name.replace("_", " ") + (f" (only {wheres[name]})" if wheres[name] else "")
                 for name in self.effect_names
             ],
-            [one.covariate for one in self.unexplained],
+            [_OF_PRESSES.get(one.covariate, one.covariate) for one in self.unexplained],
             before=self.before.rmse,
             after=self.after.rmse,
             floor=self.floor,
@@ -109,6 +110,10 @@ class ChannelDiagnosis(record.Summarised):
         )
 
 
+_OF_PRESSES = {
+    EACH_PRESS: "each press (a gain or a zero of its own)",
+    COURSE: "the course of the press, by no column of the log,",
+}
 _LAW_WORDS = {"normal": "V = k_n F_n", "shear": "D = k_s F_s"}
 
 

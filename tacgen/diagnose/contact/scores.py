@@ -138,27 +138,41 @@ def _solve(gram: FloatArray, index: NDArray[np.int64], ridge: float) -> FloatArr
 class Shuffles:
     """Sign flips of the units (F + 1, U), permutations of the trials (F + 1, T); row 0 is neither.
 
-    ``trial`` (U,) is the trial of each unit.
+    ``trial`` (U,) is the trial of each unit, ``first_row`` (U,) where in it the unit begins.
     """
 
     signs: FloatArray
     orders: NDArray[np.int64]
     trial: NDArray[np.int64]
+    first_row: NDArray[np.int64]
 
-    def of_blocks(self, n_units: int) -> "Shuffles":
-        """The same, but with one sign for so many neighbouring units of a trial."""
-        first = np.searchsorted(self.trial, self.trial)
-        block = first + (np.arange(self.trial.size) - first) // n_units * n_units
-        return replace(self, signs=self.signs[:, block])
+    def of_blocks(self, n_rows: float) -> "Shuffles":
+        """The same, but with one sign for units of a trial that begin in the same ``n_rows``."""
+        if n_rows <= 0:
+            return self
+        place = np.column_stack([self.trial, self.first_row // n_rows])
+        _, first, block = np.unique(place, axis=0, return_index=True, return_inverse=True)
+        return replace(self, signs=self.signs[:, first[block.ravel()]])
 
 
-def shuffles(trial: NDArray[np.int64], count: int, rng: np.random.Generator) -> Shuffles:
-    """``count`` random sign flips of units, of ascending trials (U,), and orders of trials."""
+def shuffles(
+    trial: NDArray[np.int64],
+    count: int,
+    rng: np.random.Generator,
+    rows: NDArray[np.int64] | None = None,
+) -> Shuffles:
+    """``count`` random sign flips of units, of ascending trials (U,), and orders of trials.
+
+    ``rows`` (U,) is how many rows each unit has, one if it is not given.
+    """
     trial = np.unique(trial, return_inverse=True)[1]  # without those of one row, which have no unit
     n_trials = int(trial[-1]) + 1
     orders = rng.permuted(np.tile(np.arange(n_trials), (count + 1, 1)), axis=1)
     orders[0] = np.arange(n_trials)
-    return Shuffles(sign_flips(trial.size, count, rng), orders, trial)
+    rows = np.ones(trial.size, dtype=np.int64) if rows is None else rows
+    begins = np.cumsum(rows) - rows
+    first_row = begins - begins[np.searchsorted(trial, trial)]
+    return Shuffles(sign_flips(trial.size, count, rng), orders, trial, first_row)
 
 
 def sign_flips(size: int, count: int, rng: np.random.Generator) -> FloatArray:

@@ -26,6 +26,7 @@ from tacgen.diagnose.contact.model import (
     Model,
     Term,
     fit_model,
+    standard_errors,
     start_term,
 )
 from tacgen.diagnose.contact.oscillation import find_oscillations
@@ -138,14 +139,16 @@ class ContactProblem(Problem[Candidate, FittedSet]):
         self._session_clock = session_clock
         self._oscillations: dict[str, Covariate] = {}
         self._folds = data.folds()
-        self._shuffled = scores.shuffles(data.unit_trial, self.rules.n_shuffles, rng)
+        self._shuffled = scores.shuffles(
+            data.unit_trial, self.rules.n_shuffles, rng, data.unit_rows
+        )
         self._parts = [] if data.few_trials else parts_of(data)
         self._local_effects = local_effects(data, self.effects) if self._parts else []
         n_flips = self.rules.local_flips if self._parts else 0
         self._local_signs = scores.sign_flips(data.n_units, n_flips, rng)
         self._fits: dict[tuple[str, ...], FittedSet] = {}
         self._pools: dict[tuple[str, ...], Pool] = {}
-        self._p_values: dict[tuple[tuple[str, ...], int], dict[str, float]] = {}
+        self._p_values: dict[tuple[tuple[str, ...], float], dict[str, float]] = {}
 
     def fitted(self, members: tuple[Candidate, ...], start: Model) -> FittedSet:
         """Fit ``members`` from ``start``, once, and cross-validate around the fit."""
@@ -259,18 +262,18 @@ class ContactProblem(Problem[Candidate, FittedSet]):
     ) -> tuple[FloatArray, list[list[int]], list[int]]:
         return scores.fit_grams(self.data, fit, [candidate.columns for candidate in candidates])
 
-    def p_values(self, rest: FittedSet, memory: int = 1) -> dict[str, float]:
+    def p_values(self, rest: FittedSet, memory_rows: float = 0.0) -> dict[str, float]:
         """The p of each name beside ``rest``: of its most significant form, corrected for all.
 
-        ``memory`` is over how many units the residual correlates: these share a sign.
+        ``memory_rows`` is over how many rows the residual correlates: units in them share a sign.
         """
-        key = rest.key, memory
+        key = rest.key, memory_rows
         pool = self.pool(rest)
         if key not in self._p_values:
             found = [candidate for candidate, _ in pool]
             ones = Candidate("", self.data.ones)
             grams, (*groups, own), base = self._grams(rest.fit, [*found, ones])
-            shuffled = self._shuffled.of_blocks(memory)
+            shuffled = self._shuffled.of_blocks(memory_rows)
             p = scores.p_values(
                 grams, base, groups, shuffled, own, parts_of_trials=self.data.few_trials
             )
@@ -289,8 +292,8 @@ class ContactProblem(Problem[Candidate, FittedSet]):
                 self.data, rest.fit, member.effect, member.label, self._parts, self._local_signs
             )
             return min(p_local * len(self._local_effects), 1.0)
-        memory = self.data.memory_units(full.fit.residual)
-        return self.p_values(rest, memory).get(member.name, 1.0)
+        memory_rows = self.data.memory_rows(full.fit.residual)
+        return self.p_values(rest, memory_rows).get(member.name, 1.0)
 
     def local(self, rest: FittedSet, most: float) -> list[FittedSet]:
         """``rest`` with the best effects that act in one part of the log, each in its best part.
@@ -305,6 +308,18 @@ class ContactProblem(Problem[Candidate, FittedSet]):
         """Held-out sum of squares, the noise included."""
         noise_loss = self.data.noise_loss
         return max(noise_loss + fitted.loss, 0.5 * noise_loss)
+
+    def admits(self, found: FittedSet) -> bool:
+        """Whether the log fixes the compliance and every time that was fitted."""
+        model, errors = found.fit.model, standard_errors(self.data, found.fit)
+        if errors.compliance > self.rules.max_error_of_compliance * model.compliance:
+            return False
+        return all(
+            error <= self.rules.max_error_of_time * term.values[name]
+            for term in model.terms
+            for name, error in errors.effects[term.name].items()
+            if term.effect.parameter(name).is_logarithmic
+        )
 
     def score(self, fitted: FittedSet) -> float:
         """Loss that compares sets: a covariate, a part of the log, a parameter has its price."""
@@ -398,9 +413,10 @@ class ContactProblem(Problem[Candidate, FittedSet]):
     def _refined(self, fitted: FittedSet) -> FittedSet:
         """``fitted`` with the forms of members corrected where held-out trials gain, most first."""
         effects = [one.effect for one in fitted.members]
-        left = [effect for effect in effects if effect is not None and effect.free_amounts]
+        left = [e for e in effects if e is not None and e.free_amounts and not self.data.few_trials]
         while left:
             tried = [self.corrected(fitted, effect) for effect in left]
+            tried = [one if self.admits(one) else fitted for one in tried]
             best = int(np.argmin([one.loss for one in tried]))
             gain = (fitted.loss - tried[best].loss) / self.total(fitted)
             if gain <= self.rules.parameter_price:

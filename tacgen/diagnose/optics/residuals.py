@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.stats import t as student
 
-from tacgen.core.types import FloatArray
+from tacgen.core.types import BoolArray, FloatArray
 from tacgen.diagnose.evidence import Dependence
 from tacgen.diagnose.optics.fit import Model, PressFit, typical
 from tacgen.diagnose.optics.selection import log_gain
@@ -11,6 +11,7 @@ from tacgen.diagnose.optics.selection import log_gain
 PLACE = "place_on_gel"
 AROUND = "distance_and_direction"
 AROUND_BY_PLACE = "distance_and_direction_by_place"
+PRESS = "press"
 _TEN_MM = 10.0  # a gel's size
 
 
@@ -18,8 +19,9 @@ def dependences(fit: PressFit, model: Model) -> tuple[Dependence, ...]:
     """Covariates that a model's held-out residuals follow, the strongest first.
 
     For each the residuals are predicted from the other folds' presses and subtracted; a line in a
-    condition is compared with a constant. A pattern of distance and direction from the contact,
-    the same for all presses or changing over the gel, counts by its grey levels.
+    condition is compared with a constant. A pattern of distance and direction from the contact
+    counts by its grey levels: the same for all presses, changing over the gel, or of each press
+    its own, seen in one half of its pixels and scored on the other.
     """
     rules = fit.rules
     residuals = fit.residuals(model)
@@ -39,8 +41,8 @@ def dependences(fit: PressFit, model: Model) -> tuple[Dependence, ...]:
         if gain >= least and p_value <= rules.false_alarm / len(errors):
             grey = np.sqrt(typical(before)) - np.sqrt(typical(after))
             found.append(Dependence(name, p_value, float(grey)))
-    for name, by_place in ((AROUND, False), (AROUND_BY_PLACE, True)):
-        before, after = around_contact(fit, model, residuals, by_place=by_place)
+    for name in (AROUND, AROUND_BY_PLACE, PRESS):
+        before, after = around_contact(fit, model, residuals, name)
         grey = float(np.sqrt(max(before.mean() - after.mean(), 0.0)))
         gain, error = log_gain(before, after)
         p_value = float(student.sf(gain / error, len(before) - 1))
@@ -56,16 +58,17 @@ def _hats(values: FloatArray, nodes: FloatArray) -> FloatArray:
 
 
 def around_contact(
-    fit: PressFit, model: Model, residuals: list[FloatArray], *, by_place: bool
+    fit: PressFit, model: Model, residuals: list[FloatArray], follows: str
 ) -> tuple[FloatArray, FloatArray]:
     """Mean squares (E,) of the residuals around each contact, and of what a pattern leaves.
 
     The pattern is a smooth function of distance, in contact radii, and direction, fitted to the
-    other folds' presses; ``by_place`` it changes linearly over the gel.
+    other folds' presses; by place it changes linearly over the gel. That of each press its own
+    is fitted to the other half of its pixels, the two colours of a chess board of 8 × 8 pixels.
     """
     rules = fit.rules
     nodes = np.linspace(0.0, rules.reach_radii, rules.rings)
-    columns, near = [], []
+    columns, near, halves = [], [], []
     for view, (x, y, radius), residual in zip(fit.views, model.places, residuals, strict=True):
         dx, dy = view.pixels.x_mm - x, view.pixels.y_mm - y
         distance, turn = np.hypot(dx, dy) / radius, np.arctan2(dy, dx)
@@ -74,9 +77,10 @@ def around_contact(
             [np.ones_like(turn), *(f(k * turn) for k in (1, 2) for f in (np.cos, np.sin))]
         )[seen]
         basis = np.einsum("nr,nw->nrw", _hats(distance[seen], nodes), waves)
-        places = np.array([1.0, *(np.array([x, y]) / _TEN_MM)]) if by_place else np.ones(1)
+        places = np.array([1.0, x / _TEN_MM, y / _TEN_MM])[: 3 if follows == AROUND_BY_PLACE else 1]
         columns.append(np.kron(places, basis.reshape(len(waves), -1)))
         near.append(residual[seen])
+        halves.append(view.pixels.odd_block[seen])
     grams = np.array([c.T @ c for c in columns])
     moments = np.array([c.T @ r for c, r in zip(columns, near, strict=True)])
     mean = grams.mean(axis=0)
@@ -84,10 +88,25 @@ def around_contact(
     held = rules.held_presses * np.diag(np.diag(mean)) + 1e-6 * size * np.eye(len(mean))
     after = []
     for k, fold in enumerate(fit.folds):
+        if follows == PRESS:
+            after.append(_of_other_half(columns[k], near[k], halves[k], held))
+            continue
         kept = fit.folds != fold
         weights = np.linalg.solve(grams[kept].sum(axis=0) + held, moments[kept].sum(axis=0))
         after.append(near[k] - columns[k] @ weights)
     return fit.mean_squares(near), fit.mean_squares(after)
+
+
+def _of_other_half(
+    columns: FloatArray, values: FloatArray, half: BoolArray, held: FloatArray
+) -> FloatArray:
+    """What columns (n, p) leave of the values (n, 3) of each half, fitted to the other one."""
+    left = values.copy()
+    for scored in (half, ~half):
+        kept = columns[~scored]
+        weights = np.linalg.solve(kept.T @ kept + 0.05 * held, kept.T @ values[~scored])
+        left[scored] -= columns[scored] @ weights
+    return left
 
 
 def _squares(fit: PressFit, residuals: list[FloatArray], predicted: list[FloatArray]) -> FloatArray:

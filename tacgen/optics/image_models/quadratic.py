@@ -44,10 +44,11 @@ class Quadratic(ImageModel):
         n_rows, n_columns = background.shape[:2]
         u = ((np.arange(n_columns) + 0.5) / n_columns - 0.5).astype(np.float32)
         v = ((np.arange(n_rows) + 0.5) / n_rows - 0.5).astype(np.float32)
-
-        ready = mm_per_px, nodes, self.max_slope_rad, interpolate, u, v, background
+        ready = shade.QuadraticNodes(
+            mm_per_px, nodes, self.max_slope_rad, interpolate, u, v, background
+        )
         return lambda surface, window, spans, image: shade.shade_window(
-            surface, window, spans, image, *ready
+            surface, window, spans, image, ready
         )
 
     def slope_colors(self, gx: FloatArray, gy: FloatArray) -> FloatArray:

@@ -78,11 +78,11 @@ class Response(ImageModel):
         rest_mm = light.rest_mm(shape, mm_per_px)
         if self.contact is None:
             rest_mm.fill(-np.inf)  # no pixel is deeper than that
-
-        ready = mm_per_px, response, self.max_slope_rad, background
-        touched = rest_mm, contact, light.depth_mm
+        ready = shade.ResponseNodes(
+            mm_per_px, response, self.max_slope_rad, background, rest_mm, contact, light.depth_mm
+        )
         return lambda surface, window, spans, image: shade.shade_response(
-            surface, window, spans, image, *ready, *touched
+            surface, window, spans, image, ready
         )
 
     def slope_colors(self, gx: FloatArray, gy: FloatArray) -> FloatArray:

@@ -286,18 +286,33 @@ def test_parts_of_a_trial_count_as_one_for_as_long_as_noise_goes_on(memory):
     noise = np.zeros(data.history.n_samples)
     for i in range(1, noise.size):
         noise[i] = memory * noise[i - 1] + rng.standard_normal()
-    rows = 2 * (1 + memory) / (1 - memory)
-    rows_per_unit = data.history.n_samples / data.n_units
     # 1 600 rows hold 40 of the longest memory: its estimate is good to a third.
-    expected = max(1, rows / rows_per_unit)
-    assert data.memory_units(noise) == pytest.approx(expected, rel=0.35, abs=0.5)
+    expected = 2 * (1 + memory) / (1 - memory)
+    assert data.memory_rows(noise) == pytest.approx(expected, rel=0.35)
 
 
 def test_blocks_of_units_share_a_sign_within_their_trial():
-    trial = np.repeat([0, 1], [5, 3])
-    blocks = scores.shuffles(trial, 50, np.random.default_rng(1)).of_blocks(2).signs
-    for one, other, is_same in ((0, 1, True), (2, 3, True), (1, 2, False), (4, 5, False)):
+    trial, rows = np.repeat([0, 1], [5, 3]), np.array([10, 10, 5, 5, 10, 10, 10, 10])
+    blocks = scores.shuffles(trial, 50, np.random.default_rng(1), rows).of_blocks(20.0).signs
+    same, different = [(0, 1), (2, 3), (3, 4), (5, 6)], [(1, 2), (4, 5), (6, 7)]
+    for one, other, is_same in [(*p, True) for p in same] + [(*p, False) for p in different]:
         assert np.array_equal(blocks[:, one], blocks[:, other]) == is_same
+
+
+def test_units_of_few_trials_are_parts_in_which_as_much_happens():
+    """A ramp in a fifth of the time has the way too: 0.2 to 0.8 of nine units, so seven of them."""
+    time_s = np.tile(np.linspace(0.0, 10.0, 401), 4)
+    force = np.interp(time_s, [4.0, 5.0, 6.0], [0.0, 10.0, 0.0])
+    columns = {
+        "trial": np.repeat(np.arange(4), 401),
+        "time_s": time_s,
+        "force_normal_n": force,
+        "volume_mm3": 4.0 * force + 1e-3 * np.random.default_rng(0).standard_normal(time_s.size),
+    }
+    data = ChannelSamples(columns, "normal").thinned(401)
+    is_ramp = np.abs(time_s[data.first] - 5.0) < 1.0
+    assert data.n_units == 36
+    assert np.unique(data.pair_unit[is_ramp]).size == 4 * 7
 
 
 def test_cross_validation_of_a_set_equals_refitting_without_each_fold():
