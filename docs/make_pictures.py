@@ -35,7 +35,7 @@ from tacgen.core.resources import object_folders
 from tacgen.learning.inputs import augmented
 from tacgen.learning.training_recipe import Augmentation
 from tacgen.objects import load_object
-from tacgen.objects.shading import shaded_view
+from tacgen.objects.picture import seen_from
 from tacgen.optics.deform import deform
 
 FIGURES = Path(__file__).parent / "figures"
@@ -114,8 +114,7 @@ def objects() -> Figure:
     figure = Figure(figsize=(8.0, 4.2), layout="constrained")
     for axis, name in zip(figure.subplots(2, 6).flat, names, strict=False):
         shown = load_object(name)
-        view = shaded_view(shown.surface, shown.color_rgb, azimuth_deg=35.0, elevation_deg=25.0)
-        axis.imshow(view)
+        axis.imshow(seen_from(shown.surface, shown.color_rgb, 35.0, 25.0))
         axis.set_title(name, fontsize=7)
         axis.set_axis_off()
     return figure

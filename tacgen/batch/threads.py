@@ -12,7 +12,7 @@ from tacgen.batch.gels import Loads
 from tacgen.contact.gap import checked_mesh
 from tacgen.core.errors import ContactError
 from tacgen.core.processes import available_cores
-from tacgen.core.records import Mesh
+from tacgen.core.records import Mesh, rng_of
 from tacgen.sensor.tactile_pad import Imprint, TactilePad
 
 PAD_BYTES_PER_PX = 150
@@ -152,8 +152,7 @@ class ThreadWorlds:
         self._shares[world] = imprint.share if touches else np.nan
         rng = None
         if self._seed is not None:
-            key = np.random.SeedSequence(self._seed, spawn_key=(call, world))
-            rng = np.random.default_rng(key)
+            rng = rng_of(self._seed, call, world)
         pad.image(imprint, rng=rng, rgb=self._rgb[world])
         if self._markers_mm is not None:
             self._markers_mm[world] = pad.markers_mm(imprint)

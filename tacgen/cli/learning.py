@@ -158,24 +158,11 @@ def regrasp(
 
     require_learning_extra()
     from tacgen.collection.recipe import load_recipe
-    from tacgen.core.progress import progress_counter
-    from tacgen.envs.regrasp import Costs, regrasp_lines
-    from tacgen.envs.regrasp import regrasp as play
+    from tacgen.envs.regrasp import Costs, Play, regrasp_lines
+    from tacgen.envs.regrasp import regrasp as play_all
 
-    costs = Costs(drop_cost, regrasp_cost)
-    with progress_counter("world") as show:
-        result = play(
-            run,
-            load_recipe(recipe),
-            out,
-            costs=costs,
-            regrasps=regrasps,
-            episodes=episodes,
-            worlds=worlds,
-            seed=seed,
-            workers=workers,
-            show=show,
-        )
+    play = Play(Costs(drop_cost, regrasp_cost), regrasps, episodes, worlds, seed)
+    result = play_all(run, load_recipe(recipe), out, play, workers=workers)
     common.print_result(result, regrasp_lines(result), json_output)
 
 

@@ -17,7 +17,6 @@ import pandas as pd
 
 from tacgen.collection.grid import AXES, draw, grown_plan, whole_grid
 from tacgen.collection.recipe import Recipe
-from tacgen.core.compiled import njit
 from tacgen.core.types import BoolArray, FloatArray, IntArray
 from tacgen.dataset import Dataset
 
@@ -105,9 +104,8 @@ def choose_near_border(
         return list(range(count))
     x, y = made[executed], np.where(labels[executed] == 1, 1.0, -1.0)
     scales = _fitted_scales(made, np.where(executed, 1.0, -1.0))
-    is_poor = np.asarray(~executed[_nearest(made, open_to, scales)], np.bool_)
-    chosen = _pick(x, y, open_to, is_poor, _fitted_scales(x, y), count, NOISE)
-    return [int(row) for row in chosen]
+    nearest = [np.argmax(_likeness(made, place, scales)) for place in open_to]
+    return _pick(x, y, open_to, ~executed[nearest], _fitted_scales(x, y), count)
 
 
 def _fitted_scales(x: FloatArray, y: FloatArray) -> FloatArray:
@@ -115,112 +113,68 @@ def _fitted_scales(x: FloatArray, y: FloatArray) -> FloatArray:
     few = np.linspace(0, len(x) - 1, min(len(x), MAX_FITTED)).astype(np.int64)
     x, y = x[few], y[few]
     scales = np.full(x.shape[1], SCALES[len(SCALES) // 2])
-    least = _left_out_error(x, y, scales, NOISE)
+    least = _left_out_error(x, y, scales)
     for axis in 2 * [k for k in range(x.shape[1]) if len(np.unique(x[:, k])) > 1]:
         for scale in SCALES:
             other = scales.copy()
             other[axis] = scale
-            error = _left_out_error(x, y, other, NOISE)
+            error = _left_out_error(x, y, other)
             if error < least:
                 least, scales = error, other
     return scales
 
 
-@njit(cache=True, nogil=True)
-def _nearest(x: FloatArray, z: FloatArray, scales: FloatArray) -> IntArray:
-    """The row of ``x`` that is nearest to each row of ``z``."""
-    rows = np.zeros(z.shape[0], np.int64)
-    for q in range(z.shape[0]):
-        most = 0.0
-        for i in range(x.shape[0]):
-            likeness = _kernel(x[i], z[q], scales)
-            if likeness > most:
-                most, rows[q] = likeness, i
-    return rows
+def _likeness(x: FloatArray, place: FloatArray, scales: FloatArray) -> FloatArray:
+    """How alike places (n, d) are to one, from 1 down: the rational quadratic kernel with α = 1."""
+    total = np.zeros(len(x))
+    for k, scale in enumerate(scales):
+        total += ((x[:, k] - place[k]) / scale) ** 2
+    return np.asarray(1.0 / (1.0 + 0.5 * total))
 
 
-@njit(cache=True, nogil=True)
-def _kernel(a: FloatArray, b: FloatArray, scales: FloatArray) -> float:
-    """How alike two places (d,) are, from 1 down: the rational quadratic kernel with α = 1."""
-    total = 0.0
-    for k in range(a.shape[0]):
-        d = (a[k] - b[k]) / scales[k]
-        total += d * d
-    return float(1.0 / (1.0 + 0.5 * total))
-
-
-@njit(cache=True, nogil=True)
-def _left_out_error(x: FloatArray, y: FloatArray, scales: FloatArray, noise: float) -> float:
+def _left_out_error(x: FloatArray, y: FloatArray, scales: FloatArray) -> float:
     """Mean squared error of each value as predicted from all others."""
-    n = x.shape[0]
-    inverse = np.empty((n, n))
-    for i in range(n):
-        for j in range(n):
-            inverse[i, j] = _kernel(x[i], x[j], scales)
-        inverse[i, i] += noise
+    n = len(x)
+    inverse = np.stack([_likeness(x, place, scales) for place in x]) + NOISE * np.eye(n)
     # Gauss-Jordan without pivots: the matrix is positive definite.
     for i in range(n):
-        pivot = inverse[i, i]
+        pivot, factors = inverse[i, i], inverse[:, i].copy()
         inverse[i, i] = 1.0
-        for k in range(n):
-            inverse[i, k] /= pivot
-        for j in range(n):
-            if j != i:
-                factor = inverse[j, i]
-                inverse[j, i] = 0.0
-                for k in range(n):
-                    inverse[j, k] -= factor * inverse[i, k]
-    error = 0.0
-    for i in range(n):
-        total = 0.0
-        for j in range(n):
-            total += inverse[i, j] * y[j]
-        error += (total / inverse[i, i]) ** 2
-    return float(error / n)
+        inverse[i] /= pivot
+        factors[i] = 0.0
+        inverse[np.arange(n) != i, i] = 0.0
+        inverse -= factors[:, None] * inverse[i]
+    total = np.zeros(n)
+    for column, value in zip(inverse.T, y, strict=True):
+        total += column * value
+    return float(sum(((total / inverse.diagonal()) ** 2).tolist()) / n)
 
 
-@njit(cache=True, nogil=True)
 def _pick(
-    x: FloatArray,
-    y: FloatArray,
-    z: FloatArray,
-    is_poor: BoolArray,
-    scales: FloatArray,
-    count: int,
-    noise: float,
-) -> IntArray:
+    x: FloatArray, y: FloatArray, z: FloatArray, is_poor: BoolArray, scales: FloatArray, count: int
+) -> list[int]:
     """Rows of ``z``, one after another: where the mean over the standard deviation is least.
 
     The grasps are entered one by one: each takes its row of the Cholesky factor off the variance
     of all others. A chosen one is entered as if it turned out as expected: the mean stays, and its
     surroundings are less uncertain, so that a batch spreads along the border.
     """
-    n, m = x.shape[0], z.shape[0]
-    points = np.concatenate((x, z))
-    factors = np.empty((n + count, n + m))
-    mean, variance = np.zeros(n + m), np.ones(n + m)
-    is_open, chosen = np.ones(m, np.bool_), np.empty(count, np.int64)
+    n, points = len(x), np.concatenate([x, z])
+    factors = np.empty((n + count, len(points)))
+    mean, variance = np.zeros(len(points)), np.ones(len(points))
+    left, chosen = np.arange(n, len(points)), list[int]()
     for i in range(n + count):
         at = i
         if i >= n:
-            least, poorest = np.inf, True
-            for q in range(m):
-                score = mean[n + q] * mean[n + q] / max(variance[n + q], noise * noise)
-                better = score < least if is_poor[q] == poorest else poorest
-                if is_open[q] and better:
-                    least, poorest, at = score, is_poor[q], n + q
-            is_open[at - n], chosen[i - n] = False, at - n
-        spread = np.sqrt(variance[at] + noise)
-        row = factors[i]
-        for q in range(n + m):
-            row[q] = _kernel(points[at], points[q], scales)
-        for j in range(i):
-            shared = factors[j, at]
-            for q in range(n + m):
-                row[q] -= shared * factors[j, q]
-        step = (y[i] - mean[at]) / spread if i < n else 0.0
-        for q in range(n + m):
-            row[q] /= spread
-            mean[q] += step * row[q]
-            variance[q] -= row[q] * row[q]
+            score = mean[left] ** 2 / np.maximum(variance[left], NOISE**2)
+            at = int(left[np.lexsort((score, is_poor[left - n]))[0]])
+            left, chosen = left[left != at], [*chosen, at - n]
+        row = _likeness(points, points[at], scales)
+        for factor in factors[:i]:
+            row -= factor[at] * factor
+        spread = np.sqrt(variance[at] + NOISE)
+        factors[i] = row / spread
+        if i < n:
+            mean += (y[i] - mean[at]) / spread * factors[i]
+        variance -= factors[i] ** 2
     return chosen

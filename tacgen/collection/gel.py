@@ -8,7 +8,7 @@ from tacgen.contact.law import USUAL_PITCH_MM, ContactLaw, load_law
 from tacgen.core.records import ContactFrame, ContactPatch, Estimate, Mesh, Sensor
 from tacgen.sensor.description import load_sensor
 from tacgen.sensor.gel_response import gel_loads
-from tacgen.sensor.tactile_pad import Indenter, mounted
+from tacgen.sensor.tactile_pad import Indenter
 
 SETTLED_PRESS = 1_000_000
 """The number of a simulated grasp on its gel: the first presses, which differ, are long past."""
@@ -34,7 +34,7 @@ def mounted_sensor(recipe: Recipe, *, needs_table: bool = True) -> Sensor:
     """The sensor of a recipe on its gripper: its gel, if nothing else is said, is the pad."""
     sensor = load_sensor(recipe.sensor, needs_table=needs_table)
     pad = recipe.physics_settings.sensing_pads[0]
-    return mounted(sensor, recipe.robot.spec().gripper, pad)
+    return recipe.robot.spec().gripper.carrying(sensor, pad)
 
 
 def gel_patch(

@@ -315,8 +315,3 @@ def draw(seed: int, stream: str, point: Point) -> int:
     """A random number below 2⁶³ of the recipe's seed and the grasp's own content alone."""
     digest = hashlib.sha256(repr((seed, stream, *point)).encode()).digest()
     return int.from_bytes(digest[:8], "big") >> 1
-
-
-def rng_of(seed: int, *key: int) -> np.random.Generator:
-    """Random numbers by identity: the same seed and key give the same ones."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))

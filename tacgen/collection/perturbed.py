@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -11,10 +11,11 @@ import numpy as np
 
 from tacgen.collection.gel import contact_law, gel_patch, mounted_sensor
 from tacgen.collection.inputs import recipe_inputs
-from tacgen.collection.recipe import ObjectEntry, Recipe
+from tacgen.collection.kept import kept_results
+from tacgen.collection.recipe import ObjectEntry, Randomize, Recipe
 from tacgen.core.errors import DatasetError
-from tacgen.core.files import append_json_lines, read_json_lines, sha256_of_content
-from tacgen.core.processes import Report, run_tasks
+from tacgen.core.files import sha256_of_content
+from tacgen.core.processes import Report
 from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, Mesh, frozen_array
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.objects import load_object
@@ -24,8 +25,6 @@ from tacgen.sensor.tactile_pad import Indenter
 
 OUTCOMES = "outcomes.jsonl"
 """The file of finished simulations in a folder of results."""
-GRASP_LIMIT_S = 120.0
-"""A simulated grasp takes 0.1 to 1 s; one that takes this long hangs and counts as crashed."""
 NAN = float("nan")
 
 
@@ -64,9 +63,9 @@ class Perturbation:
     def changes(self) -> dict[str, Any]:
         """The fields that are not at their default."""
         return {
-            field.name: getattr(self, field.name)
-            for field in fields(self)
-            if getattr(self, field.name) != field.default
+            one.name: getattr(self, one.name)
+            for one in fields(self)
+            if getattr(self, one.name) != one.default
         }
 
     def and_then(self, other: "Perturbation") -> "Perturbation":
@@ -220,6 +219,55 @@ def perturbed_entry(entry: ObjectEntry, change: Perturbation) -> ObjectEntry:
     return entry.model_copy(update=figures)
 
 
+# Relative changes are log-normal, so that no draw makes a mass or a friction negative; beyond
+# this many standard deviations a draw is pulled back, so that none is absurd.
+_MAX_DEVIATIONS = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class Variation:
+    """One draw: changes to object, gel and camera, and shifts of the grasp in mm and rad."""
+
+    perturbation: Perturbation = field(default_factory=Perturbation)
+    k_n_factor: float = 1.0
+    gain_factor: float = 1.0
+    position_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    yaw_rad: float = 0.0
+
+
+def draw_variation(spread: Randomize, rng: np.random.Generator) -> Variation:
+    """Draw what one grasp varies; the same generator state gives the same draw.
+
+    Every figure consumes its random numbers whether it is varied or not, so that switching one
+    on leaves the draws of the others as they were.
+    """
+    z = np.clip(rng.standard_normal(11), -_MAX_DEVIATIONS, _MAX_DEVIATIONS)
+    x_mm, y_mm, z_mm = (spread.position_mm * z[7:10]).tolist()
+    return Variation(
+        Perturbation(
+            friction_factor=float(np.exp(spread.friction_relative * z[0])),
+            mass_factor=float(np.exp(spread.mass_relative * z[1])),
+            **shift_of_center((spread.center_of_mass_mm * z[2:5]).tolist()),
+        ),
+        k_n_factor=float(np.exp(spread.k_n_relative * z[5])),
+        gain_factor=float(np.exp(spread.sensor_gain_relative * z[6])),
+        position_mm=(x_mm, y_mm, z_mm),
+        yaw_rad=float(spread.yaw_rad * z[10]),
+    )
+
+
+def vary_config(config: GraspConfig, variation: Variation) -> GraspConfig:
+    """The configuration as it is carried out, off from the one asked for."""
+    dx_mm, dy_mm, dz_mm = variation.position_mm
+    return replace(
+        config,
+        x_mm=config.x_mm + dx_mm,
+        y_mm=config.y_mm + dy_mm,
+        z_mm=config.z_mm + dz_mm,
+        yaw_rad=config.yaw_rad + variation.yaw_rad,
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Outcome:
     """How one simulated grasp ended, and how far it was from ending otherwise.
@@ -320,39 +368,41 @@ def simulate_perturbed(
     perturbations; an interrupted run goes on from there. They carry a hash of all that the outcome
     depends on and the whole configuration, and are used for nothing else.
     """
-    wanted = list(wanted)
-    store = _Store(out / OUTCOMES, recipe, {config.object for config, _ in wanted})
-    kept = store.read()
-    jobs: dict[Place, tuple[GraspConfig, dict[Perturbation, None]]] = {}
+    found: dict[Place, tuple[GraspConfig, dict[Perturbation, None]]] = {}
     for config, change in wanted:
-        place = place_of(config)
-        changes = jobs.setdefault(place, (config, {}))[1]
-        if (place, change) not in kept:
-            changes[change] = None
-    listed = [(config, tuple(changes)) for config, changes in jobs.values()]
-    pending = [k for k, (_, changes) in enumerate(listed) if changes]
-    done = len(listed) - len(pending)
-    show(done, len(listed))
-    make_job = partial(_grasp_job, recipe, tuple(listed))
-    for event in run_tasks(pending, make_job, workers=workers, item_limit_s=GRASP_LIMIT_S):
-        if event.kind == "done":
-            config, simulated = listed[event.task]
-            keys = [(place_of(config), change) for change in simulated]
-            found = dict(zip(keys, event.value, strict=True))
-            store.append(found)
-            kept |= found
-            done += 1
-            show(done, len(listed))
-    return {(place_of(config), change): kept[place_of(config), change] for config, change in wanted}
-
-
-Task = tuple[GraspConfig, tuple[Perturbation, ...]]
+        found.setdefault(place_of(config), (config, {}))[1][change] = None
+    tasks = [(config, tuple(changes)) for config, changes in found.values()]
+    names = {config.object for config, _ in tasks}
+    inputs = recipe_inputs(recipe, names)
+    declared = {name: sha256_of_content(inputs.of_objects([name])) for name in names}
+    items = [
+        [
+            {
+                "declared": declared[config.object],
+                "grasp": place_of(config),
+                "changes": change.changes(),
+            }
+            for change in changes
+        ]
+        for config, changes in tasks
+    ]
+    job = partial(_grasp_job, recipe, tasks)
+    outcomes = kept_results(
+        out / OUTCOMES, items, job, lambda kept: Outcome(**kept), workers=workers, show=show
+    )
+    return {
+        (place_of(config), change): outcome
+        for (config, changes), of_changes in zip(tasks, outcomes, strict=True)
+        for change, outcome in zip(changes, of_changes, strict=True)
+    }
 
 
 @contextlib.contextmanager
 def _grasp_job(
-    recipe: Recipe, tasks: Sequence[Task]
-) -> Iterator[Callable[[int, Mapping[int, str], Report], list[Outcome]]]:
+    recipe: Recipe,
+    tasks: Sequence[tuple[GraspConfig, tuple[Perturbation, ...]]],
+    missing: Sequence[Sequence[int]],
+) -> Iterator[Callable[[int, Mapping[int, str], Report], list[dict[str, Any]]]]:
     """One process: a task is one grasp, its items are the perturbations to simulate it under."""
     settings = recipe.physics_settings
     built = lru_cache(maxsize=1)(recipe_object)
@@ -361,18 +411,18 @@ def _grasp_job(
     first_item = np.cumsum([0, *(len(changes) + 1 for _, changes in tasks)])
     with GraspSimulator(recipe.robot.spec(), recipe.physics.engine) as simulator:
 
-        def job(task: int, crashed: Mapping[int, str], report: Report) -> list[Outcome]:
+        def job(task: int, crashed: Mapping[int, str], report: Report) -> list[dict[str, Any]]:
             config, changes = tasks[task]
             base = built(recipe.entry_of(config.object))
             found = []
-            for k, change in enumerate(changes):
+            for k in missing[task]:
                 item = int(first_item[task]) + k
                 if item in crashed:
-                    found.append(_CRASHED)
+                    found.append(asdict(_CRASHED))
                     continue
                 report("start", item, None)
-                changed = perturbed_settings(settings, change)
-                grasped = perturbed_object(base, change)
+                changed = perturbed_settings(settings, changes[k])
+                grasped = perturbed_object(base, changes[k])
                 trace = run_grasp(
                     simulator,
                     grasped,
@@ -382,45 +432,7 @@ def _grasp_job(
                     patch_of=partial(gel_patch, indenter, law, grasped.surface),
                     keeps_past=bool(law.effects),
                 )
-                found.append(Outcome.of(trace, changed))
+                found.append(asdict(Outcome.of(trace, changed)))
             return found
 
         yield job
-
-
-class _Store:
-    """Finished simulations on disk, a line each."""
-
-    def __init__(self, path: Path, recipe: Recipe, names: Iterable[str]) -> None:
-        self._path = path
-        names = list(names)
-        inputs = recipe_inputs(recipe, names)
-        self._made_with = {n: sha256_of_content(inputs.of_objects([n])) for n in names}
-
-    def read(self) -> dict[OutcomeKey, Outcome]:
-        """What was simulated of these objects as declared.
-
-        Damaged lines are passed over, and those of objects that were declared differently then.
-        """
-        found: dict[OutcomeKey, Outcome] = {}
-        for data in read_json_lines(self._path):
-            with contextlib.suppress(ValueError, KeyError, TypeError):
-                name, *numbers = data["grasp"]
-                if data["declared"] == self._made_with.get(name):
-                    # Tuples became lists.
-                    factors = tuple(map(tuple, data["changes"].pop("settings_factors", ())))
-                    change = Perturbation(**data["changes"], settings_factors=factors)
-                    found[(name, *map(float, numbers)), change] = Outcome(**data["outcome"])
-        return found
-
-    def append(self, outcomes: Mapping[OutcomeKey, Outcome]) -> None:
-        lines = (
-            {
-                "declared": self._made_with[place[0]],
-                "grasp": place,
-                "changes": change.changes(),
-                "outcome": asdict(one),
-            }
-            for (place, change), one in outcomes.items()
-        )
-        append_json_lines(self._path, lines)

@@ -9,24 +9,29 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.collection.cameras import camera_samples, cameras_of
 from tacgen.collection.confidence import label_confidence
 from tacgen.collection.gel import SETTLED_PRESS, contact_law, gel_patch, mounted_sensor
-from tacgen.collection.grid import Grids, PlannedGrasp, rng_of
+from tacgen.collection.grid import Grids, PlannedGrasp
 from tacgen.collection.inputs import recipe_inputs
-from tacgen.collection.perturbed import perturbed_object, recipe_object
-from tacgen.collection.randomize import Variation, draw_variation, vary_config
+from tacgen.collection.perturbed import (
+    Variation,
+    draw_variation,
+    perturbed_object,
+    recipe_object,
+    vary_config,
+)
 from tacgen.collection.recipe import Recipe
-from tacgen.collection.scene import PICTURE_PX, grasp_picture
+from tacgen.collection.scene import PICTURE_PX, camera_samples, cameras_of, grasp_picture
 from tacgen.contact.law import ContactLaw
 from tacgen.core.errors import SensorError, TableError, require_extra
-from tacgen.core.records import ContactFrame, GraspConfig, GraspObject, GraspTrace
+from tacgen.core.records import ContactFrame, GraspConfig, GraspObject, GraspTrace, rng_of
 from tacgen.core.types import FloatArray
 from tacgen.dataset import CameraSample, DatasetSpec, GraspSample, PadSample
 from tacgen.optics import load_table
 from tacgen.optics.visible import visible_share
 from tacgen.physics import FrameRequest, GraspSimulator
-from tacgen.physics.grasp import StartedGrasp, not_executed, start_grasp
+from tacgen.physics.grasp import StartedGrasp, not_executed
+from tacgen.physics.rest import topples_deg
 from tacgen.sensor.description import load_sensor
 from tacgen.sensor.gel_response import GelLoad, gel_loads, is_near, rounded_pose_and_load
 from tacgen.sensor.tactile_pad import Imprint, TactileFrame, TactilePad
@@ -117,7 +122,7 @@ class GraspPipeline:
             grasped.surface,
             k_n_factor=variation.k_n_factor,
         )
-        started = start_grasp(
+        started = StartedGrasp(
             self.simulator,
             grasped,
             config,
@@ -133,6 +138,10 @@ class GraspPipeline:
         drawn = self._drawn(planned, 0)
         pads = self._settings.sensing_pads
         return SimulatedGrasp(planned, *drawn, not_executed(drawn[1], "no_contact", NOTHING, pads))
+
+    def stands(self, planned: PlannedGrasp) -> bool:
+        """Whether the object of a planned grasp stands, with what is drawn of it."""
+        return not topples_deg(self.at_rest(planned).grasped)
 
     def _drawn(
         self, planned: PlannedGrasp, attempt: int

@@ -16,9 +16,9 @@ from tacgen.contact.gel import gel_map_mm, pixel_centers_mm
 from tacgen.core.errors import DatasetError, require_extra
 from tacgen.core.files import atomic_path
 from tacgen.core.records import PADS, GraspConfig, GraspTrace
+from tacgen.core.types import pose
 from tacgen.dataset import DatasetFolder, GraspSample
 from tacgen.dataset.reader import Dataset
-from tacgen.physics import frames
 from tacgen.physics.gripper import GripperSpec
 from tacgen.sensor.description import load_sensor
 
@@ -94,8 +94,8 @@ def write_recording(root: Path, index: int, path: Path) -> None:
                 forces_n = [stored.force_normal_n[k], *stored.force_shear_n[k]]
                 for name, force_n in zip(FORCES, forces_n, strict=True):
                     stream.log(f"forces/{pad}/{name}", rr.Scalars(force_n))
-            for name, pose in poses.items():
-                stream.log(name, rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3]))
+            for name, at in poses.items():
+                stream.log(name, rr.Transform3D(translation=at[:3, 3], mat3x3=at[:3, :3]))
 
 
 def _gel_pose(gripper: GripperSpec, trace: GraspTrace, frame: int, pad: str) -> NDArray[np.float64]:
@@ -103,7 +103,7 @@ def _gel_pose(gripper: GripperSpec, trace: GraspTrace, frame: int, pad: str) -> 
     assert trace.gripper_pose is not None
     side = gripper.side(pad)
     place_mm = (side.side * pad_distances_mm(trace, frame)[pad], 0.0, 0.0)
-    in_gripper = frames.pose(side.gel_axes, place_mm)
+    in_gripper = pose(side.gel_axes, place_mm)
     return np.asarray(pose_matrix(trace.gripper_pose[frame]) @ in_gripper)
 
 
@@ -111,7 +111,7 @@ def _drawn_finger(gripper: GripperSpec, pad: str) -> Any:
     """Boxes in the frame of its gel."""
     import rerun as rr
 
-    sizes, centers, colors = zip(*finger_boxes(gripper, pad), strict=True)
+    sizes, centers, colors, _ = zip(*finger_boxes(gripper, pad), strict=True)
     axes = gripper.side(pad).gel_axes
     in_gel = {"sizes": sizes @ np.abs(axes), "centers": centers @ axes}
     return rr.Boxes3D(**in_gel, colors=colors, fill_mode="solid")
@@ -122,8 +122,8 @@ def _log_cameras(stream: Any, dataset: Dataset) -> None:
     import rerun as rr
 
     for camera in dataset.cameras.values():
-        pose, place = camera.t_world_camera_mm, f"scene/camera_{camera.name}"
-        placed = rr.Transform3D(translation=pose[:3, 3], mat3x3=pose[:3, :3])
+        at, place = camera.t_world_camera_mm, f"scene/camera_{camera.name}"
+        placed = rr.Transform3D(translation=at[:3, 3], mat3x3=at[:3, :3])
         stream.log(place, placed, static=True)
         pinhole = rr.Pinhole(
             image_from_camera=camera.k_px,

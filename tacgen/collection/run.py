@@ -21,8 +21,6 @@ from tacgen.dataset.gallery import Thumbnails, shown_grasps, thumbnails, write_g
 from tacgen.dataset.summary import write_card
 from tacgen.physics import GraspSimulator
 
-_WAIT_S = 1.0  # between looks at the shards of other processes; grasps take as long
-
 
 @dataclass(slots=True)
 class Collected:

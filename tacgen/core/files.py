@@ -62,14 +62,14 @@ def _remove_abandoned(folder: Path) -> None:
 
 
 @contextlib.contextmanager
-def atomic_folder(path: Path) -> Iterator[Path]:
-    """Yield an empty folder beside ``path``; renamed to it on success, removed on failure.
+def atomic_folder(path: Path, *, replaces: bool = False) -> Iterator[Path]:
+    """Yield an empty folder of the name of ``path``; moved there on success, removed on failure.
 
     What a killed process left of the same ``path`` is removed too. Raises ``TacgenError`` if
-    ``path`` exists already, or another process is writing it.
+    ``path`` exists already, unless it ``replaces`` that, or another process is writing it.
     """
     path = Path(path)
-    if os.path.lexists(path):
+    if os.path.lexists(path) and not replaces:
         msg = f"{path} exists already; give a new folder, or remove it"
         raise TacgenError(msg)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -78,19 +78,22 @@ def atomic_folder(path: Path) -> Iterator[Path]:
         if held:
             for left in path.parent.glob(f".{glob.escape(path.name)}.????????.part"):
                 shutil.rmtree(left, ignore_errors=True)
-        partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent))
+        work = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".part", dir=path.parent))
+        partial = work / path.name
         try:
-            partial.chmod(0o755)
+            partial.mkdir(mode=0o755)
             yield partial
-            for file in partial.rglob("*"):
+            for file in (partial, *partial.rglob("*")):
                 sync_file(file)
+            if replaces and os.path.lexists(path):
+                os.replace(path, work / "replaced")
             os.replace(partial, path)
             sync_file(path.parent)
         except OSError as error:
             error.filename = error.filename or str(path)
             raise
         finally:
-            shutil.rmtree(partial, ignore_errors=True)
+            shutil.rmtree(work, ignore_errors=True)
 
 
 def sync_file(path: Path) -> None:

@@ -40,6 +40,11 @@ def frozen_array(values: object, dtype: DTypeLike = np.float64) -> NDArray[Any]:
     return array
 
 
+def rng_of(seed: int, *key: int) -> np.random.Generator:
+    """Random numbers by identity: the same seed and key give the same ones."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+
+
 @dataclass(frozen=True, slots=True)
 class GraspConfig:
     """One point of the grid: what the gripper is asked to do.

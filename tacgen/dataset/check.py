@@ -100,10 +100,10 @@ def _content_problems(shard: Shard, line: ShardLine, decode: bool) -> Iterator[s
     for name, here in said.items():
         if here != getattr(line, name):
             yield f"{name} is {here}, but {getattr(line, name)} in the manifest"
-    columns = {a.path: shard.read(a.path) for a in layout.arrays() if not a.image}
-    for array in layout.arrays():
+    columns = shard.small_arrays()
+    for array in layout.placed():
         values = columns.get(array.path)
-        if values is not None and values.dtype.kind == "f" and not array.nan:
+        if values is not None and values.dtype.kind == "f" and not array.field.nan:
             yield from _named(array.path, ~np.isfinite(values), "is not finite")
     problems = list(_grasp_problems(columns, line))
     yield from problems
@@ -139,8 +139,8 @@ def _grasp_problems(columns: dict[str, NDArray[Any]], line: ShardLine) -> Iterat
 
 
 def _image_problems(shard: Shard, executed: NDArray[np.int64], decode: bool) -> Iterator[str]:
-    for array in shard.layout.arrays():
-        if not array.image:
+    for array in shard.layout.placed():
+        if not array.field.image:
             continue
         dataset = shard.arrays[array.path]
         per_frame = array.shape[1] == "T"

@@ -25,8 +25,6 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from tacgen.dataset.schema import ArraySpec
-
 ZSTD_LEVEL = 3  # of images without noise
 
 END_BYTES = 160  # more than the heads that are looked at take
@@ -53,9 +51,9 @@ class ChunkEnds:
     size: int
 
 
-def storage_of(array: ArraySpec) -> dict[str, Any]:
+def storage_of(*, noisy: bool) -> dict[str, Any]:
     """The arguments of ``create_dataset`` that say how an image array is compressed."""
-    if array.noisy:
+    if noisy:
         options = (0, 0, 0, 0, 1, _BYTEDELTA, _ZSTD)
         return {"compression": hdf5plugin.Blosc2.filter_id, "compression_opts": options}
     return dict(hdf5plugin.Zstd(clevel=ZSTD_LEVEL))

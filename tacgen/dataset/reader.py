@@ -357,11 +357,12 @@ class Dataset:
         layout = self._layout(index)
         pads: dict[str, dict[str, Any]] = {pad: {} for pad in self.pads}
         cameras: dict[str, dict[str, Any]] = {name: {} for name in layout.cameras}
-        for field, owner, path in layout.placed():
+        for one in layout.placed():
+            field, path = one.field, one.path
             if field.group != "grasp" and field.of != "spec" and not field.noisy:
                 value = self._frames(index, field, path) if field.image else self._read(index, path)
                 of = {"pad": pads, "camera": cameras}.get(field.of, {})
-                of.get(owner, sample)[field.attribute] = value
+                of.get(one.owner, sample)[field.attribute] = value
         parts = {
             part: {name.partition(".")[2]: sample.pop(name) for name in names}
             for part in ("config", "margin")

@@ -242,9 +242,9 @@ class DatasetSpec:
     def grasp_bytes(self) -> dict[str, int]:
         """What the images, and what is kept of the touch, take of a grasp before compression."""
         sizes, found = self.sizes(1), Counter[str]()
-        for one, owner, _ in self.layout.placed():
-            if one.of in ("pad", "camera") and one.image:
-                found[one.known_as(owner)] += one.n_bytes(sizes, owner)
+        for one in self.layout.placed():
+            if one.field.of in ("pad", "camera") and one.field.image:
+                found[one.field.known_as(one.owner)] += one.n_bytes(sizes)
         return dict(found)
 
     @property

@@ -59,36 +59,6 @@ MAX_OBJECT_BYTES, MAX_REASON_BYTES = 64, 160
 
 
 @dataclass(frozen=True, slots=True)
-class ArraySpec:
-    """One HDF5 array; ``shape`` mixes the letters of the layout with fixed lengths.
-
-    ``dtype`` is numpy's name, or ``S<n>`` for text of at most n bytes of UTF-8. ``nan`` says
-    whether values that do not apply may be NaN. An ``image`` array is stored compressed, one
-    image a chunk; a ``noisy`` one is of a camera, whose noise asks for a codec of its own.
-    """
-
-    path: str
-    dtype: str
-    shape: tuple[str | int, ...]
-    unit: str
-    frame: str
-    description: str
-    nan: bool = False
-    image: bool = False
-    noisy: bool = False
-
-    def resolve(self, sizes: Mapping[str, int]) -> tuple[int, ...]:
-        """The shape in numbers."""
-        return tuple(sizes[n] if isinstance(n, str) else n for n in self.shape)
-
-    def chunks(self, shape: tuple[int, ...]) -> tuple[int, ...]:
-        """The chunk of an ``image`` array of that shape: one image."""
-        image_axes = 3 if self.shape[-1] == 3 else 2
-        lead = len(shape) - image_axes
-        return (1,) * lead + shape[lead:]
-
-
-@dataclass(frozen=True, slots=True)
 class Field:
     """One array of a shard, or of each tactile pad in it.
 
@@ -98,7 +68,10 @@ class Field:
     dataset; where that is None, NaN or zeros stand. ``asked_by`` is the attribute of the spec that
     asks for it, empty for what is always there, and ``recipe`` how a recipe does. ``rest`` is the
     attribute of the spec that holds its values (M, 2) on a gel at rest, which stand beside it as
-    the attribute ``rest_mm``. See ``ArraySpec`` for the others.
+    the attribute ``rest_mm``. ``dtype`` is numpy's name, or ``S<n>`` for text of at most n bytes of
+    UTF-8. ``nan`` says whether values that do not apply may be NaN. An ``image`` array is stored
+    compressed, one image a chunk; a ``noisy`` one is of a camera, whose noise asks for a codec of
+    its own.
     """
 
     group: str
@@ -148,22 +121,40 @@ class Field:
         """What it is called in a dataset: ``depth_mm`` of any pad, ``camera/front/depth_mm``."""
         return f"camera/{owner}/{self.name}" if self.of == "camera" else self.name
 
-    def axes_of(self, owner: str) -> tuple[str | int, ...]:
-        """The axes of the array of a pad or camera; each camera has a height and width."""
-        own = ("height", "width") if self.of == "camera" else ()
-        return tuple(f"{owner} {axis}" if axis in own else axis for axis in self.axes)
-
-    def n_bytes(self, sizes: Mapping[str, int], owner: str = "") -> int:
-        """What it takes before compression, by the lengths of the axes."""
-        lengths = [sizes[n] if isinstance(n, str) else n for n in self.axes_of(owner)]
-        return np.dtype(self.dtype).itemsize * math.prod(lengths)
-
     def value(self, owner: object) -> Any:
         """What ``owner`` has of it; None where it has nothing."""
         try:
             return attrgetter(self.attribute)(owner)
         except AttributeError:  # of a part that is None, such as the margin of what did not execute
             return None
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """A field as a dataset has it: of an ``owner``, a pad, a camera or none, at a ``path``."""
+
+    field: Field
+    owner: str
+    path: str
+
+    @property
+    def shape(self) -> tuple[str | int, ...]:
+        """Its axes; each camera has a height and width of its own."""
+        own = ("height", "width") if self.field.of == "camera" else ()
+        return tuple(f"{self.owner} {axis}" if axis in own else axis for axis in self.field.axes)
+
+    def resolve(self, sizes: Mapping[str, int]) -> tuple[int, ...]:
+        """The shape in numbers, by the lengths of the axes."""
+        return tuple(sizes[n] if isinstance(n, str) else n for n in self.shape)
+
+    def n_bytes(self, sizes: Mapping[str, int]) -> int:
+        """What it takes before compression."""
+        return np.dtype(self.field.dtype).itemsize * math.prod(self.resolve(sizes))
+
+    def chunks(self, shape: tuple[int, ...]) -> tuple[int, ...]:
+        """The chunk of an ``image`` array of that shape: one image."""
+        lead = len(shape) - (3 if self.shape[-1] == 3 else 2)
+        return (1,) * lead + shape[lead:]
 
 
 _TRANSLATIONAL = "(friction limit - tangential load) / weight; NaN where unknown"
@@ -382,21 +373,10 @@ class Layout:
         """Path of an array of images of a pad, such as ``rgb``."""
         return self.path(next(f for f in FIELDS if (f.group, f.name) == ("tactile", name)), pad)
 
-    def placed(self) -> Iterator[tuple[Field, str, str]]:
-        """(field, pad or camera, path) of every array, in the order in which they are written."""
+    def placed(self) -> Iterator[Placed]:
+        """Every array, in the order in which it is written."""
         for _, group in groupby(self.fields, key=lambda field: field.group):
             fields = tuple(group)
             owners = {"camera": self.cameras}.get(fields[0].group, ("",))
-            for pad in self.pads if fields[0].is_of_pads else owners:
-                yield from ((field, pad, self.path(field, pad)) for field in fields)
-
-    def arrays(self) -> Iterator[ArraySpec]:
-        """Every array, in the order in which it is written."""
-        for field, owner, path in self.placed():
-            axes = field.axes_of(owner)
-            yield ArraySpec(
-                *(path, field.dtype, axes, field.unit, field.frame, field.description),
-                nan=field.nan,
-                image=field.image,
-                noisy=field.noisy,
-            )
+            for owner in self.pads if fields[0].is_of_pads else owners:
+                yield from (Placed(field, owner, self.path(field, owner)) for field in fields)

@@ -31,9 +31,9 @@ from tacgen.dataset.schema import (
     NOISE_AT_LOAD,
     REST,
     T_WORLD_CAMERA,
-    ArraySpec,
     K,
     Layout,
+    Placed,
 )
 
 MAX_GRASPS, MAX_FRAMES, MAX_SIDE_PX = 1_000_000, 10_000, 8192
@@ -70,6 +70,11 @@ class Shard:
         values = np.empty(dataset.id.shape, stored.dtype)
         dataset.id.read(h5s.ALL, h5s.ALL, values, stored)
         return values
+
+    def small_arrays(self) -> dict[str, NDArray[Any]]:
+        """All arrays but images, by path."""
+        placed = self.layout.placed()
+        return {one.path: self.read(one.path) for one in placed if not one.field.image}
 
     def close(self) -> None:
         """Close the file."""
@@ -134,10 +139,10 @@ def _checked(path: Path, file: h5py.File) -> Shard:
     span = _attribute(file, "index_range", "i", (2,))
     start, stop = (0, -1) if span is None else map(int, span)
     sizes = _sizes_of(path, file, layout, start, stop)
-    found = {array.path: _array_at(file, array.path) for array in layout.arrays()}
+    found = {array.path: _array_at(file, array.path) for array in layout.placed()}
     problems = [
         text
-        for array in layout.arrays()
+        for array in layout.placed()
         for text in _array_problems(found[array.path], array, array.resolve(sizes))
     ]
     noise_grey = 0.0
@@ -147,10 +152,10 @@ def _checked(path: Path, file: h5py.File) -> Shard:
         if not 0 < noise_grey < np.inf:
             problems.append(f"{NOISE_AT_LOAD} is not a standard deviation")
     rest_mm: dict[str, NDArray[np.float64]] = {}
-    for field, _, place in layout.placed():
-        array = found[place]
-        if field.rest and array is not None:
-            stored = _attribute(array, REST, "f", (sizes[str(field.axes[2])], 2))
+    for one in layout.placed():
+        place, array = one.path, found[one.path]
+        if one.field.rest and array is not None:
+            stored = _attribute(array, REST, "f", (sizes[str(one.shape[2])], 2))
             if stored is None or not np.isfinite(stored).all():
                 problems.append(f"{place} has no attribute {REST}: where each is at rest")
             else:
@@ -268,12 +273,12 @@ def _sizes_of(path: Path, file: h5py.File, layout: Layout, start: int, stop: int
     if rgb is None or rgb.rank != 5:
         _refuse(path, [f"{name} is missing, or a link, or not of five axes"])
     sizes = dict(zip("NTHW", rgb.shape, strict=False))
-    for array in layout.arrays():
+    for array in layout.placed():
         found = _array_at(file, array.path)
         if found is not None and found.rank == len(array.shape):
             for letter, length in zip(array.shape, found.shape, strict=True):
                 sizes.setdefault(str(letter), length)
-    axes = {axis for array in layout.arrays() for axis in array.shape if isinstance(axis, str)}
+    axes = {axis for array in layout.placed() for axis in array.shape if isinstance(axis, str)}
     sizes = {axis: sizes.get(axis, 0) for axis in sorted(axes)}
     limits = dict.fromkeys(sizes, MAX_SIDE_PX) | {"N": MAX_GRASPS, "T": MAX_FRAMES}
     limits |= dict.fromkeys([k for k in ("rows", "columns") if k in sizes], MAX_CELLS)
@@ -288,7 +293,7 @@ def _sizes_of(path: Path, file: h5py.File, layout: Layout, start: int, stop: int
 
 
 def _array_problems(
-    found: h5d.DatasetID | None, array: ArraySpec, shape: tuple[int, ...]
+    found: h5d.DatasetID | None, array: Placed, shape: tuple[int, ...]
 ) -> Iterator[str]:
     if found is None:
         yield f"{array.path} is missing, or a link"
@@ -298,14 +303,14 @@ def _array_problems(
     filters = [creation.get_filter(i)[0] for i in range(creation.get_nfilters())]
     if stored_shape != shape:
         yield f"{array.path} has shape {stored_shape}, not {shape}"
-    elif not _is_type(found.get_type(), array.dtype):
-        yield f"{array.path} is {found.dtype}, not {array.dtype}"
+    elif not _is_type(found.get_type(), array.field.dtype):
+        yield f"{array.path} is {found.dtype}, not {array.field.dtype}"
     elif kind == h5d.VIRTUAL or creation.get_external_count():
         yield f"{array.path} lies in another file"
     elif len(filters) > 1 or not ALLOWED_FILTERS.issuperset(filters):
         yield f"{array.path} is stored by filters {filters}, not by one that is known here"
-    elif (kind == h5d.CHUNKED) != array.image or (
-        array.image and creation.get_chunk() != array.chunks(shape)
+    elif (kind == h5d.CHUNKED) != array.field.image or (
+        array.field.image and creation.get_chunk() != array.chunks(shape)
     ):
         yield f"{array.path} is not stored as the schema says"
 

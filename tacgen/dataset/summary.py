@@ -101,10 +101,10 @@ def _blind_cameras(folder: DatasetFolder, line: ShardLine) -> list[str]:
         return []
     with closing(open_shard(path)) as shard, broken_as_error(path):
         return [
-            camera
-            for field, camera, place in shard.layout.placed()
-            if field.of == "camera" and field.name == "segmentation"
-            for images in [shard.arrays[place]]
+            one.owner
+            for one in shard.layout.placed()
+            if one.field.of == "camera" and one.field.name == "segmentation"
+            for images in [shard.arrays[one.path]]
             if not any(
                 (read_image(images, at) == seen).any() for at in np.ndindex(images.shape[:-2])
             )
@@ -116,12 +116,13 @@ def _arrays(folder: DatasetFolder, line: ShardLine) -> dict[str, dict[str, Any]]
     n_stored = max(line.status.get("executed", 0), 1)
     found: dict[str, dict[str, Any]] = {}
     with closing(open_shard(path)) as shard, broken_as_error(path):
-        for field, owner, place in shard.layout.placed():
+        for one in shard.layout.placed():
+            field = one.field
             if field.of in ("pad", "camera") and field.image:
-                stored = shard.arrays[place]
+                stored = shard.arrays[one.path]
                 shape = stored.shape[1:]
                 of_name = found.setdefault(
-                    field.known_as(owner), {"shape": list(shape), "raw_bytes": 0, "bytes": 0}
+                    field.known_as(one.owner), {"shape": list(shape), "raw_bytes": 0, "bytes": 0}
                 )
                 of_name["raw_bytes"] += stored.dtype.itemsize * math.prod(shape)
                 of_name["bytes"] += round(stored.id.get_storage_size() / n_stored)
@@ -204,7 +205,7 @@ def _nothing_to_see(folder: DatasetFolder, lines: Iterable[ShardLine]) -> dict[s
             continue
         path = folder.shard_path(line.shard)
         with closing(open_shard(path)) as shard, broken_as_error(path):
-            columns = {a.path: shard.read(a.path) for a in shard.layout.arrays() if not a.image}
+            columns = shard.small_arrays()
             at_moment = flags_at_moment(columns, shard.layout, "nothing_to_see")
             names, indices = (columns[f"/grasp/{name}"] for name in ("object", "index"))
         for row in np.flatnonzero(at_moment):
@@ -275,7 +276,7 @@ def write_card(root: Path | str) -> Path:
     dataset = Dataset(folder.root, partial=True)
     height, width = dataset.shape_px
     card = templates("tacgen.dataset", escaped=False).get_template("card.md")
-    arrays, first = list(dataset.layout.arrays()), int(dataset.indices[0])
+    arrays, first = list(dataset.layout.placed()), int(dataset.indices[0])
     text = card.render(
         summary=summary,
         arrays=arrays,

@@ -62,14 +62,15 @@ def write_shard_file(
                 disk.raise_failure()
             for place, values in small.items():
                 file[place][...] = values
-            for field, _, place in layout.placed():
-                if field.of == "spec":
-                    file[place][...] = field.value(spec)
-                if field.rest:
-                    file[place].attrs[REST] = np.asarray(getattr(spec, field.rest), np.float64)
+            for one in layout.placed():
+                if one.field.of == "spec":
+                    file[one.path][...] = one.field.value(spec)
+                if one.field.rest:
+                    rest = np.asarray(getattr(spec, one.field.rest), np.float64)
+                    file[one.path].attrs[REST] = rest
             _describe_cameras(file, spec)
         disk.raise_failure()
-    raw = sum(np.dtype(a.dtype).itemsize * int(np.prod(a.resolve(sizes))) for a in layout.arrays())
+    raw = sum(one.n_bytes(sizes) for one in layout.placed())
     return ShardLine(
         shard=shard,
         file=shard_file(shard),
@@ -95,8 +96,13 @@ def write_shard_file(
 
 def _grasp_values(sample: GraspSample, layout: Layout) -> Iterator[tuple[Field, str, Any]]:
     """(field, path, values) of everything that one grasp contributes; what it lacks stays zero."""
-    for field, pad, path in sorted(layout.placed(), key=lambda placed: placed[0].of == "pad"):
-        owners = {"sample": sample, "pad": sample.pads.get(pad), "camera": sample.cameras.get(pad)}
+    for one in sorted(layout.placed(), key=lambda one: one.field.of == "pad"):
+        field, name = one.field, one.owner
+        owners = {
+            "sample": sample,
+            "pad": sample.pads.get(name),
+            "camera": sample.cameras.get(name),
+        }
         owner = owners.get(field.of)
         if owner is None:
             continue
@@ -108,7 +114,7 @@ def _grasp_values(sample: GraspSample, layout: Layout) -> Iterator[tuple[Field, 
         if values is None and field.nan:
             values = np.nan
         if values is not None:
-            yield field, path, values
+            yield field, one.path, values
 
 
 def _create_arrays(
@@ -116,14 +122,16 @@ def _create_arrays(
 ) -> dict[str, NDArray[Any]]:
     """Create every array; those that are small are given back, to be filled and written last."""
     small = {}
-    for array in layout.arrays():
-        shape, dtype = array.resolve(sizes), np.dtype(array.dtype)
+    for array in layout.placed():
+        field, shape, dtype = array.field, array.resolve(sizes), np.dtype(array.field.dtype)
         stored = h5py.string_dtype("utf-8", dtype.itemsize) if dtype.kind == "S" else dtype
-        storage = {"chunks": array.chunks(shape), **storage_of(array)} if array.image else {}
+        storage: dict[str, Any] = {}
+        if field.image:
+            storage = {"chunks": array.chunks(shape), **storage_of(noisy=field.noisy)}
         dataset = file.create_dataset(array.path, shape, stored, track_times=False, **storage)
         for name in ("unit", "frame", "description"):
-            dataset.attrs[name] = getattr(array, name)
-        if not array.image:
+            dataset.attrs[name] = getattr(field, name)
+        if not field.image:
             small[array.path] = np.zeros(dataset.shape, dataset.dtype)
     return small
 

@@ -21,35 +21,26 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logit, softmax
 
-from tacgen.collection.grid import PlannedGrasp, plan_recipe, rng_of
+from tacgen.collection.grid import PlannedGrasp, plan_recipe
 from tacgen.collection.inputs import recipe_inputs
+from tacgen.collection.kept import kept_results
 from tacgen.collection.pipeline import GraspPipeline, planned_times_s
 from tacgen.collection.recipe import Recipe
 from tacgen.core.errors import LearningError
-from tacgen.core.files import (
-    alone,
-    append_json_lines,
-    read_json_lines,
-    refuse_foreign,
-    sha256_of,
-    sha256_of_content,
-    write_text,
-)
-from tacgen.core.processes import Report, run_tasks
-from tacgen.core.progress import LOG, print_status
-from tacgen.core.records import LABEL_SUCCESS, GraspTrace
+from tacgen.core.files import alone, refuse_foreign, sha256_of, sha256_of_content, write_text
+from tacgen.core.processes import Report
+from tacgen.core.progress import LOG, print_status, progress_counter
+from tacgen.core.records import LABEL_SUCCESS, GraspTrace, rng_of
 from tacgen.dataset.reader import ROUNDING_S, TIME_DIGITS
 from tacgen.dataset.samples import PadSample, frame_times_s
-from tacgen.learning.inputs import ARRAYS, InputSpec
+from tacgen.learning.inputs import ARRAYS, InputSpec, taken_otherwise
 from tacgen.learning.predictor import Predictor
 from tacgen.learning.run_folder import RunFolder
 from tacgen.learning.scores import wilson_interval
 from tacgen.learning.training_recipe import TrainRecipe
-from tacgen.physics.rest import topples_deg
 
 SCHEMA = 2
 WORLDS, RESULT = "worlds.jsonl", "regrasp.json"
-GRASP_LIMIT_S = 120.0  # of one grasp with its images, which takes 0.2 to 1 s
 MOST_TEST_LIFT_MM = 10.0
 """Height of a look, from which a drop harms nothing and the object can still be set down."""
 DROPS = ("translational_slip", "rotational_slip")  # how a lift fails
@@ -63,33 +54,6 @@ from 0.5 to 3 the share of the oracle's gain after three regrasps is 0.84 to 0.8
 """
 MIN_PROBABILITY = 0.01
 """Looks are cut to this: a network that errs in one of a hundred may not rule a world out."""
-
-
-@dataclass(frozen=True, slots=True)
-class Drawn:
-    """One world of an object: what its ``seed`` varies, and whether it is an episode's."""
-
-    entry: int
-    seed: int
-    is_episode: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Tried:
-    """One grasp in one world: what the network said, and how its lift ended.
-
-    ``outcome`` is ``held``, a failure mode, or the status of a grasp that was not executed;
-    ``probability`` is then 0, for the gripper knows.
-    """
-
-    probability: float
-    outcome: str
-    look_rise_mm: float = 0.0
-
-    @property
-    def was_seen(self) -> bool:
-        """Whether there was a look: the grasp was executed."""
-        return self.outcome in ("held", *DROPS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,60 +172,124 @@ def _log_odds(probability: NDArray[np.float64] | float) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True, slots=True)
-class Simulated:
-    """All that can happen: what was ``tried`` of the ``grasps`` of each object in each world.
+class Tried:
+    """Every grasp (A) of an object in W worlds, which differ in what their ``seeds`` vary.
 
-    ``spec`` and ``pad`` say what the network sees of a grasp, and on which pad.
+    ``look`` (W, A) is the probability that the network gives it; 0 where the grasp was not
+    executed, for the gripper knows. ``outcome`` (W, A) says how its lift ended: ``held``, a failure
+    mode, or the status of a grasp that was not executed; ``look_rise_mm`` (W, A) how far it had
+    been lifted in the look.
     """
 
+    seeds: tuple[int, ...]
+    look: NDArray[np.float64]
+    outcome: NDArray[np.str_]
+    look_rise_mm: NDArray[np.float64]
+
+    @property
+    def holds(self) -> NDArray[np.bool_]:
+        """Which grasps hold (W, A)."""
+        return np.asarray(self.outcome == "held")
+
+    def first_grasp(self, world: int) -> int:
+        """The grasp that an episode in a world starts with, the same for all policies."""
+        return int(rng_of(self.seeds[world], 2).integers(self.look.shape[1]))
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectGrasps:
+    """The grasps of an object, tried in the worlds of ``episodes`` and in ``imagined`` ones."""
+
+    grasps: tuple[PlannedGrasp, ...]
+    episodes: Tried
+    imagined: Tried
+
+    @property
+    def belief(self) -> Belief:
+        """What the imagined worlds say."""
+        return Belief(self.imagined.holds, self.imagined.look)
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What a network of ``run`` is asked about ``recipe``: of each grasp ``spec`` of a ``pad``."""
+
+    run: Path
     recipe: Recipe
-    spec: InputSpec
     pad: str
-    grasps: Mapping[str, tuple[PlannedGrasp, ...]]
-    tried: Mapping[Drawn, Sequence[Tried]]
+    spec: InputSpec
 
-    def worlds_of(self, entry: int, *, is_episode: bool) -> list[Drawn]:
-        """The worlds of an object, in the order in which they were drawn."""
-        return [one for one in self.tried if (one.entry, one.is_episode) == (entry, is_episode)]
+    @classmethod
+    def checked(cls, run: Path, recipe: Recipe) -> "Question":
+        """The question, if the run can answer it.
 
-    def look(self, world: Drawn) -> NDArray[np.float64]:
-        """What the network says of each grasp there, (A,)."""
-        return np.array([one.probability for one in self.tried[world]])
+        Raises ``LearningError`` unless it has a model of each object, of images like the recipe's.
+        """
+        plan = RunFolder(run).plan()
+        trained = TrainRecipe.model_validate(plan["recipe"])
+        known = {name for model in plan["models"].values() for name in model["objects"]}
+        missing = [one.object_name for one in recipe.objects if one.object_name not in known]
+        problems = []
+        if missing:
+            problems.append(
+                f"{run}: has no model of {', '.join(missing)}, only of {', '.join(sorted(known))}; "
+                "train on a dataset with all of the recipe's objects, or take these out of it"
+            )
+        before, inputs = plan["dataset"].get("taken_with", {}), recipe_inputs(recipe).sha256
+        pads = recipe.physics_settings.sensing_pads
+        pad = before["pad"] if before.get("pad") in pads else pads[0]
+        now = {
+            "sensor_sha256": inputs["sensor"],
+            "table": inputs.get("table"),
+            "pad": pad,
+            "markers": recipe.optics.markers,
+            "shadows": recipe.optics.shadows,
+            "time_s": np.round(planned_times_s(recipe), TIME_DIGITS).tolist(),
+            "until": "lift" if recipe.frames.until == "lift" else "outcome",
+        }
+        if other := taken_otherwise(before, now, trained.model.kind):
+            problems.append(
+                f"{run}: was trained on images of another {', '.join(other)} than those of the "
+                f"recipe {recipe.name}; collect its dataset with the recipe's sensor, optics and "
+                "frames"
+            )
+        if "vision" in trained.input.channels:
+            problems.append(
+                f"{run}: its network sees a camera, and looks before a lift are of touch alone; "
+                "train one without the channel vision"
+            )
+        kept = {"markers": recipe.dataset.markers, "force_field": recipe.dataset.force_field}
+        lacking = [name for name in kept if name in trained.input.channels and not kept[name]]
+        if lacking:
+            problems.append(
+                f"{run}: its network also sees {', '.join(lacking)}; set dataset.{lacking[0]} in "
+                "the recipe as its dataset had it"
+            )
+        LearningError.raise_if(problems)
+        spec = Predictor(run, recipe.objects[0].object_name, device="cpu").spec
+        return cls(run, recipe, pad, spec)
 
-    def holds(self, world: Drawn) -> NDArray[np.bool_]:
-        """Which grasps hold there, (A,)."""
-        return np.array([one.outcome == "held" for one in self.tried[world]])
 
-    def belief(self, entry: int) -> Belief:
-        """What the imagined worlds say of an object."""
-        imagined = self.worlds_of(entry, is_episode=False)
-        holds, look = map(self.holds, imagined), map(self.look, imagined)
-        return Belief(np.stack(list(holds)), np.stack(list(look)))
+@dataclass(frozen=True, slots=True)
+class Play:
+    """How episodes are played: ``episodes`` and imagined ``worlds`` of each object, at most
+    ``regrasps`` in each; ``seed`` draws both kinds of worlds (None: the recipe's).
+    """
 
-
-def first_grasp(world: Drawn, n_grasps: int) -> int:
-    """The grasp that an episode starts with, the same for all policies."""
-    return int(rng_of(world.seed, 2).integers(n_grasps))
+    costs: Costs = Costs()
+    regrasps: int = 3
+    episodes: int = 40
+    worlds: int = 32
+    seed: int | None = None
 
 
 def regrasp(
-    run: Path,
-    recipe: Recipe,
-    out: Path,
-    *,
-    costs: Costs,
-    regrasps: int = 3,
-    episodes: int = 40,
-    worlds: int = 32,
-    seed: int | None = None,
-    workers: int = 1,
-    show: Callable[[int, int], None] = lambda done, total: None,
+    run: Path, recipe: Recipe, out: Path, play: Play, *, workers: int = 1
 ) -> dict[str, Any]:
-    """Play ``episodes`` of each object by touch, and write ``out/regrasp.json``.
+    """Play episodes of each object by touch, and write ``out/regrasp.json``.
 
-    ``worlds`` is how many the policy imagines of each object, ``seed`` draws both kinds (default:
-    the recipe's). Finished worlds are kept in ``out/worlds.jsonl``: an interrupted run goes on from
-    there, and other costs cost nothing.
+    Finished worlds are kept in ``out/worlds.jsonl``: an interrupted run goes on from there, and
+    other costs cost nothing.
 
     ``regrasp.json``: ``schema``, ``run``, ``recipe``, ``seed``, ``costs``, ``regrasps``,
     ``episodes`` and ``worlds`` (of each object), ``looks`` (``grasp``, ``lift`` or ``test lift``),
@@ -272,21 +300,21 @@ def regrasp(
 
     Raises ``LearningError`` as ``simulate`` does.
     """
-    seed = recipe.seed if seed is None else seed
-    simulated = simulate(run, recipe, out, episodes, worlds, seed, workers, show)
-    outcomes = [
-        [_by_touch(simulated, entry, costs, allowed) for entry in range(len(recipe.objects))]
-        for allowed in range(regrasps + 1)
-    ]
+    asked = Question.checked(run, recipe)
+    simulated = simulate(asked, out, play, workers=workers)
+    ended: dict[str, list[list[tuple[int, str]]]] = {
+        name: [_played(own, play.costs, allowed) for allowed in range(play.regrasps + 1)]
+        for name, own in simulated.items()
+    }
     result = {
-        **about(simulated, run, seed, costs),
-        "regrasps": regrasps,
-        "episodes": episodes,
-        "worlds": worlds,
-        "by_touch": [_scores([one for own in listed for one in own]) for listed in outcomes],
+        **about(asked, play, simulated),
+        "by_touch": [
+            _scores([one for own in ended.values() for one in own[allowed]])
+            for allowed in range(play.regrasps + 1)
+        ],
         "by_object": {
-            entry.object_name: {"first": _success(first), "touch": _success(last)}
-            for entry, first, last in zip(recipe.objects, outcomes[0], outcomes[-1], strict=True)
+            name: {"first": _success(own[0]), "touch": _success(own[-1])}
+            for name, own in ended.items()
         },
     }
     write_text(out / RESULT, json.dumps(result, indent=1))
@@ -303,15 +331,12 @@ def regrasp_lines(result: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _by_touch(
-    simulated: Simulated, entry: int, costs: Costs, allowed: int
-) -> list[tuple[int, str]]:
+def _played(own: ObjectGrasps, costs: Costs, allowed: int) -> list[tuple[int, str]]:
     """Of each episode of an object how many regrasps there were, and how it ended."""
-    belief, found = simulated.belief(entry), []
-    for world in simulated.worlds_of(entry, is_episode=True):
-        look = simulated.look(world)
-        steps = by_touch(first_grasp(world, len(look)), look, costs, allowed, belief.best_other)
-        found.append((len(steps) - 1, simulated.tried[world][steps[-1].grasp].outcome))
+    other_of, tried, found = own.belief.best_other, own.episodes, []
+    for world, (look, outcome) in enumerate(zip(tried.look, tried.outcome, strict=True)):
+        steps = by_touch(tried.first_grasp(world), look, costs, allowed, other_of)
+        found.append((len(steps) - 1, str(outcome[steps[-1].grasp])))
     return found
 
 
@@ -320,12 +345,12 @@ def _success(episodes: Sequence[tuple[int, str]]) -> float:
 
 
 def _scores(episodes: Sequence[tuple[int, str]]) -> dict[str, Any]:
-    outcomes, share = [outcome for _, outcome in episodes], _success(episodes)
+    share = _success(episodes)
     return {
         "success": share,
         "interval": list(wilson_interval(share * len(episodes), len(episodes))),
         "mean_regrasps": float(np.mean([moves for moves, _ in episodes])),
-        **failures(outcomes),
+        **failures([outcome for _, outcome in episodes]),
     }
 
 
@@ -336,93 +361,85 @@ def failures(outcomes: Sequence[str]) -> dict[str, Any]:
     return {"drops": drops, "not_executed": len(outcomes) - lifted}
 
 
-def about(simulated: Simulated, run: Path, seed: int, costs: Costs) -> dict[str, Any]:
+def about(asked: Question, play: Play, simulated: Mapping[str, ObjectGrasps]) -> dict[str, Any]:
     """What is stated of every result."""
-    until, rows = simulated.spec.shows_until, simulated.tried.values()
+    until = asked.spec.shows_until
+    rises_mm = [
+        one.look_rise_mm for own in simulated.values() for one in (own.episodes, own.imagined)
+    ]
     return {
         "schema": SCHEMA,
-        "run": str(run),
-        "recipe": simulated.recipe.name,
-        "seed": seed,
-        "costs": asdict(costs),
+        "run": str(asked.run),
+        "recipe": asked.recipe.name,
+        **asdict(play),
+        "seed": _seed(asked, play),
         "looks": "test lift" if until == "outcome" else until,
-        "test_lift_mm": max(one.look_rise_mm for row in rows for one in row),
+        "test_lift_mm": float(np.max(rises_mm)),
     }
 
 
-def simulate(
-    run: Path,
-    recipe: Recipe,
-    out: Path,
-    episodes: int,
-    worlds: int,
-    seed: int,
-    workers: int,
-    show: Callable[[int, int], None],
-) -> Simulated:
-    """Every grasp in the worlds of all episodes, and in those that the policy imagines.
+def _seed(asked: Question, play: Play) -> int:
+    return asked.recipe.seed if play.seed is None else play.seed
 
-    Raises ``LearningError`` if the run lacks an object or saw other images than the recipe gives,
-    an object has a single grasp or does not stand, or the looks show the outcome.
+
+def simulate(
+    asked: Question, out: Path, play: Play, *, workers: int = 1
+) -> dict[str, ObjectGrasps]:
+    """By object every grasp in the worlds of all episodes, and in those that the policy imagines.
+
+    Raises ``LearningError`` if an object has a single grasp or does not stand, or the looks show
+    the outcome.
     """
+    recipe, run = asked.recipe, RunFolder(asked.run)
     grasps = _grasps_of(recipe)
-    pad = _checked_pad(run, recipe)
     unknown = ("friction_relative", "mass_relative", "center_of_mass_mm")
     if not any(getattr(recipe.randomize, name) for name in unknown):
         print_status(
             f"warning: {recipe.name}: randomize draws no friction, mass or centre of mass, so that "
             f"nothing of an object is unknown and touch finds nothing out; set {', '.join(unknown)}"
         )
+    models = run.plan()["models"].items()
+    model_of = {one: name for name, model in models for one in model["objects"]}
     pipeline = GraspPipeline(recipe)
-    drawn = [
-        Drawn(own[0].entry, one, is_episode)
-        for own in grasps.values()
-        for is_episode, n in ((False, worlds), (True, episodes))
-        for one in standing_seeds(pipeline, own[0], seed, n, is_episode=is_episode)
-    ]
+    kinds, tasks, items = list[tuple[str, str]](), list[World](), list[list[dict[str, Any]]]()
+    for name, planned in grasps.items():
+        places = [asdict(one.config) | {"index": 0} for one in planned]
+        digest = sha256_of(run.model(model_of[name]).model_path)
+        made_with = sha256_of_content([recipe_inputs(recipe, [name]).sha256, places, digest])
+        for stream, n in (("episode", play.episodes), ("imagined", play.worlds)):
+            for seed in standing_seeds(pipeline, planned[0], _seed(asked, play), stream, n):
+                kinds.append((name, stream))
+                tasks.append((planned, seed))
+                items.append([{"made_with": made_with, "seed": seed}])
     refuse_foreign(out, WORLDS, [RESULT])
     out.mkdir(parents=True, exist_ok=True)
-    with alone(out / ".lock", out, "working there", LearningError):
-        made_with = _made_with(run, recipe, grasps)
-        found = _finished(out / WORLDS, drawn, made_with)
-        pending = [k for k, one in enumerate(drawn) if one not in found]
-        show(len(found), len(drawn))
-        job = partial(_world_job, run, pad, recipe, grasps, tuple(drawn))
-        for event in run_tasks(pending, job, workers=workers, item_limit_s=GRASP_LIMIT_S):
-            if event.kind == "done":
-                world, row = drawn[event.task], event.value
-                key = {"made_with": made_with[world.entry], "seed": world.seed}
-                append_json_lines(out / WORLDS, [key | {"grasps": [asdict(one) for one in row]}])
-                found[world] = row
-                show(len(found), len(drawn))
-    spec = Predictor(run, recipe.objects[0].object_name, device="cpu").spec
-    return Simulated(recipe, spec, pad, grasps, {one: found[one] for one in drawn})
+    job = partial(_world_job, asked, tasks)
+    with (
+        alone(out / ".lock", out, "working there", LearningError),
+        progress_counter("world") as show,
+    ):
+        found = kept_results(out / WORLDS, items, job, _checked_row, workers=workers, show=show)
+
+    def tried(*kind: str) -> Tried:
+        own = [k for k, one in enumerate(kinds) if one == kind]
+        look, outcome, rise_mm = np.moveaxis(np.array([found[k][0] for k in own], object), -1, 0)
+        seeds = tuple(tasks[k][1] for k in own)
+        return Tried(seeds, look.astype(float), outcome.astype(str), rise_mm.astype(float))
+
+    return {
+        name: ObjectGrasps(planned, tried(name, "episode"), tried(name, "imagined"))
+        for name, planned in grasps.items()
+    }
 
 
-def _made_with(
-    run: Path, recipe: Recipe, grasps: Mapping[str, Sequence[PlannedGrasp]]
-) -> list[str]:
-    """A hash of all that the worlds of each object depend on."""
-    folder = RunFolder(run)
-    model_of = {n: key for key, one in folder.plan()["models"].items() for n in one["objects"]}
-    found = []
-    for name in (entry.object_name for entry in recipe.objects):
-        places = [asdict(planned.config) | {"index": 0} for planned in grasps[name]]
-        digest = sha256_of(folder.model(model_of[name]).model_path)
-        found.append(sha256_of_content([recipe_inputs(recipe, [name]).sha256, places, digest]))
-    return found
+World = tuple[tuple[PlannedGrasp, ...], int]
+"""The grasps of an object, and the seed of a world."""
+Row = list[tuple[float, str, float]]
+"""Of each grasp in a world its look, outcome and rise, as of ``Tried``."""
 
 
-def _finished(
-    path: Path, drawn: Sequence[Drawn], made_with: Sequence[str]
-) -> dict[Drawn, list[Tried]]:
-    """What was finished with these inputs; lines of others are not used."""
-    kept: dict[tuple[str, int], list[Tried]] = {}
-    for line in read_json_lines(path):
-        with contextlib.suppress(KeyError, TypeError):
-            kept[line["made_with"], line["seed"]] = [Tried(**one) for one in line["grasps"]]
-    keys = {one: (made_with[one.entry], one.seed) for one in drawn}
-    return {one: kept[key] for one, key in keys.items() if key in kept}
+def _checked_row(kept: Any) -> Row:
+    return [(float(look), str(outcome), float(rise_mm)) for look, outcome, rise_mm in kept]
 
 
 def _grasps_of(recipe: Recipe) -> dict[str, tuple[PlannedGrasp, ...]]:
@@ -446,74 +463,20 @@ def _grasps_of(recipe: Recipe) -> dict[str, tuple[PlannedGrasp, ...]]:
     return found
 
 
-def _checked_pad(run: Path, recipe: Recipe) -> str:
-    """The pad that the run was trained on.
-
-    Raises ``LearningError`` unless it has a model of each object, of images like the recipe's.
-    """
-    plan = RunFolder(run).plan()
-    trained = TrainRecipe.model_validate(plan["recipe"])
-    known = {name for model in plan["models"].values() for name in model["objects"]}
-    missing = [one.object_name for one in recipe.objects if one.object_name not in known]
-    problems = []
-    if missing:
-        problems.append(
-            f"{run}: has no model of {', '.join(missing)}, only of {', '.join(sorted(known))}; "
-            "train on a dataset with all of the recipe's objects, or take these out of the recipe"
-        )
-    before, inputs = plan["dataset"].get("taken_with", {}), recipe_inputs(recipe).sha256
-    pads, frames = recipe.physics_settings.sensing_pads, recipe.frames
-    pad = before["pad"] if before.get("pad") in pads else pads[0]
-    now: dict[str, Any] = {
-        "sensor_sha256": inputs["sensor"],
-        "table": inputs.get("table"),
-        "pad": pad,
-        "markers": recipe.optics.markers,
-        "shadows": recipe.optics.shadows,
-    }
-    if trained.model.kind == "sequence":
-        now["time_s"] = np.round(planned_times_s(recipe), TIME_DIGITS).tolist()
-        now["until"] = "lift" if frames.until == "lift" else "outcome"
-    other = [
-        name.removesuffix("_sha256")
-        for name, value in now.items()
-        if None not in (before.get(name), value) and before[name] != value
-    ]
-    if other:
-        problems.append(
-            f"{run}: was trained on images of another {', '.join(other)} than those of the recipe "
-            f"{recipe.name}; collect its dataset with the recipe's sensor, optics and frames"
-        )
-    if "vision" in trained.input.channels:
-        problems.append(
-            f"{run}: its network sees a camera, and looks before a lift are of touch alone; train "
-            "one without the channel vision"
-        )
-    kept = {"markers": recipe.dataset.markers, "force_field": recipe.dataset.force_field}
-    lacking = [name for name in kept if name in trained.input.channels and not kept[name]]
-    if lacking:
-        problems.append(
-            f"{run}: its network also sees {', '.join(lacking)}; set dataset.{lacking[0]} in the "
-            "recipe as its dataset had it"
-        )
-    LearningError.raise_if(problems)
-    return pad
-
-
 def standing_seeds(
-    pipeline: GraspPipeline, planned: PlannedGrasp, seed: int, n: int, *, is_episode: bool
+    pipeline: GraspPipeline, planned: PlannedGrasp, seed: int, stream: str, n: int
 ) -> list[int]:
     """The first ``n`` seeds that draw a world in which the object of a grasp stands.
 
-    Those of episodes and of imagined worlds have nothing in common. Raises ``LearningError`` if
-    the object topples in almost all.
+    Those of two streams have nothing in common. Raises ``LearningError`` if the object topples in
+    almost all.
     """
-    name, stream = planned.config.object, "episode" if is_episode else "imagined"
+    name = planned.config.object
     every = (int(sha256_of_content([seed, stream, name, k])[:15], 16) for k in count())
     standing = (
         one
         for one in islice(every, n * MOST_TOPPLED)
-        if not topples_deg(pipeline.at_rest(replace(planned, seed=one)).grasped)
+        if pipeline.stands(replace(planned, seed=one))
     )
     found = list(islice(standing, n))
     if len(found) < n:
@@ -527,33 +490,28 @@ def standing_seeds(
 
 @contextlib.contextmanager
 def _world_job(
-    run: Path,
-    pad: str,
-    recipe: Recipe,
-    grasps: Mapping[str, Sequence[PlannedGrasp]],
-    drawn: Sequence[Drawn],
-) -> Iterator[Callable[[int, Mapping[int, str], Report], list[Tried]]]:
+    asked: Question, worlds: Sequence[World], missing: Sequence[Sequence[int]]
+) -> Iterator[Callable[[int, Mapping[int, str], Report], list[Row]]]:
     """One process: a task is one world, its items are the grasps."""
-    # What the predictor notes of images it would say of each world: ``_checked_pad`` compares them.
+    # What the predictor notes of images it would say of each world: they have been compared.
     LOG.setLevel(logging.WARNING)
-    names = [entry.object_name for entry in recipe.objects]
-    most = max(map(len, grasps.values()))
-    predictor_of = lru_cache(maxsize=None)(partial(Predictor, run, device="cpu"))
-    with GraspPipeline(recipe) as pipeline:
+    most = max(len(planned) for planned, _ in worlds)
+    predictor_of = lru_cache(maxsize=None)(partial(Predictor, asked.run, device="cpu"))
+    with GraspPipeline(asked.recipe) as pipeline:
 
-        def job(task: int, crashed: Mapping[int, str], report: Report) -> list[Tried]:
-            world = drawn[task]
-            predictor = predictor_of(names[world.entry])
-            found = []
-            for k, planned in enumerate(grasps[names[world.entry]]):
+        def job(task: int, crashed: Mapping[int, str], report: Report) -> list[Row]:
+            grasps, seed = worlds[task]
+            predictor = predictor_of(grasps[0].config.object)
+            row: Row = []
+            for k, planned in enumerate(grasps):
                 item = task * most + k
                 if item in crashed:
-                    found.append(Tried(0.0, "crashed"))
+                    row.append((0.0, "crashed", 0.0))
                     continue
                 report("start", item, None)
-                look = look_at(pipeline, planned, world.seed, k, predictor.spec, pad)
-                found.append(_try(look, recipe, predictor))
-            return found
+                look = look_at(pipeline, planned, seed, k, predictor.spec, asked.pad)
+                row.append(_said(look, asked.recipe, predictor))
+            return [row]
 
         yield job
 
@@ -600,16 +558,17 @@ def look_at(
     return Look(trace, pads[pad], frames)
 
 
-def _try(look: Look, recipe: Recipe, predictor: Predictor) -> Tried:
+def _said(look: Look, recipe: Recipe, predictor: Predictor) -> tuple[float, str, float]:
+    """What the network says of a grasp, how its lift ended, and how far it had risen."""
     trace = look.trace
     if trace.status != "executed":
-        return Tried(0.0, trace.status)
+        return 0.0, trace.status, 0.0
     names = [ARRAYS[channel.name] for channel in predictor.spec.touch]
     touch = {name: [np.asarray(getattr(look.pad, name))[look.frames]] for name in names}
     images = look.images[0] if predictor.spec.kind == "single" else look.images
     probability = float(predictor.predict([images], touch)[0])
     outcome = "held" if trace.label == LABEL_SUCCESS else trace.failure_mode
-    return Tried(probability, outcome, look_rise_mm(trace, recipe, look.frames[-1]))
+    return probability, outcome, look_rise_mm(trace, recipe, look.frames[-1])
 
 
 def _times_s(trace: GraspTrace, recipe: Recipe) -> NDArray[np.float64]:

@@ -24,7 +24,15 @@ from tacgen.learning.grasps import (
     RealGraspImages,
     SimulatedGrasps,
 )
-from tacgen.learning.inputs import InputSpec, camera_note, check_source, read_input, resized
+from tacgen.learning.inputs import (
+    ACROSS,
+    InputSpec,
+    camera_note,
+    check_source,
+    read_input,
+    resized,
+    taken_otherwise,
+)
 from tacgen.learning.intervals import standardised_gap
 from tacgen.learning.loader import Batches, DecodedInputs
 from tacgen.learning.predictions import (
@@ -43,8 +51,6 @@ from tacgen.learning.training_recipe import TrainRecipe
 
 MAX_GROUPS = 8
 """Rows of a table of scores by value; more values than that are put into half as many ranges."""
-ACROSS = ("sensor", "table", "pad", "markers", "shadows", "time_s", "until")
-"""In what the images of a dataset may differ from those of the training; ``Dataset.taken_with``."""
 _AUROC_NOTE = (
     "The AUROC overall ranks the grasps of all models together; by object it ranks one model's."
 )
@@ -126,12 +132,8 @@ def _differences(
     """
     for name in across:
         require_known("--across", name, ACROSS, LearningError)
-    trained, tested = plan["dataset"].get("taken_with", {}), source.taken_with
-    both = [n for n in trained if None not in (trained[n], tested.get(n))]
-    found = {name.removesuffix("_sha256") for name in both if trained[name] != tested[name]}
-    if recipe.model.kind == "single":
-        found -= {"time_s", "until"}
-    differing = [name for name in ACROSS if name in found]
+    trained = plan["dataset"].get("taken_with", {})
+    differing = taken_otherwise(trained, source.taken_with, recipe.model.kind)
     refused = [name for name in differing if name not in across]
     if refused and isinstance(source, SimulatedGrasps):
         msg = (

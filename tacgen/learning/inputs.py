@@ -1,9 +1,9 @@
 """From tactile images to the network's input: choose, resize, subtract, normalise."""
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -26,6 +26,8 @@ FAINT_GREY = 1.0  # contrast of the camera's noise at the network's size, which 
 
 ARRAYS = {"markers": "markers_mm", "force_field": "force_field_n"}
 """The dataset's array of each channel beside the image."""
+ACROSS = ("sensor", "table", "pad", "markers", "shadows", "time_s", "until")
+"""In what images may differ from those of the training; see ``Dataset.taken_with``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +113,18 @@ class InputSpec:
         if self.until == "lift":
             return f"up to {self.n_frames} images, none after the start of the lift (prediction)"
         return f"{self.n_frames} images over the whole recording, outcome and all (detection)"
+
+
+def taken_otherwise(trained: Mapping[str, Any], now: Mapping[str, Any], kind: str) -> list[str]:
+    """Which of ``ACROSS`` differ between two of ``Dataset.taken_with``, as far as both know it.
+
+    A network of the ``kind`` ``single`` sees neither the frames' times nor where they end.
+    """
+    both = [name for name in trained if None not in (trained[name], now.get(name))]
+    found = {name.removesuffix("_sha256") for name in both if trained[name] != now[name]}
+    if kind == "single":
+        found -= {"time_s", "until"}
+    return [name for name in ACROSS if name in found]
 
 
 def chosen_frames(spec: InputSpec, n_available: int, grasp_frame: int) -> list[int]:

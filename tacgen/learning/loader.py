@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from tacgen.core.records import rng_of
 from tacgen.learning.grasps import GraspSource
 from tacgen.learning.inputs import (
     InputSpec,
@@ -91,7 +92,7 @@ class Batches:
         self, seed: int, epoch: int, augmentation: Augmentation
     ) -> Iterator[tuple[NetworkInput, Tensor, NDArray[np.int64]]]:
         """Every grasp once, in an order and with changes that depend on seed and epoch alone."""
-        rng = _rng(seed, epoch, _STREAM_ORDER)
+        rng = rng_of(seed, epoch, _STREAM_ORDER)
         order = self._divide(rng.permutation(len(self._inputs)))
         # Batch normalisation cannot learn from one image: it goes with the batch before.
         if len(order) > 1 and len(order[-1]) == 1:
@@ -110,7 +111,7 @@ class Batches:
         for items in order:
             frames = [self._inputs[int(item)] for item in items]
             if augmentation is not None and augmentation.on:
-                rngs = [_rng(*key, _STREAM_AUGMENT, int(item)) for item in items]
+                rngs = [rng_of(*key, _STREAM_AUGMENT, int(item)) for item in items]
                 pairs = zip(frames, rngs, strict=True)
                 rest = at_rest(self.reference, self._spec)
                 frames = [augmented(f, rest, augmentation, rng) for f, rng in pairs]
@@ -141,7 +142,3 @@ def as_batch(
 
 def _filled(frames: NDArray[Any], count: int) -> NDArray[Any]:
     return np.concatenate([frames, frames[-1:].repeat(count - len(frames), axis=0)])
-
-
-def _rng(seed: int, *key: int) -> np.random.Generator:
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))

@@ -1,10 +1,7 @@
 """Add a mesh of one's own as an object: ``objects/<name>`` with its description and meshes."""
 
 import itertools
-import os
 import re
-import shutil
-import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +12,9 @@ import yaml
 from numpy.typing import NDArray
 
 from tacgen.core.errors import ObjectError
-from tacgen.core.files import sha256_of, sync_file
+from tacgen.core.files import atomic_folder, sha256_of
 from tacgen.core.records import GraspObject, Mesh
-from tacgen.core.types import FloatArray
+from tacgen.core.types import FloatArray, rotation_about_z, turn_rad, twice_sine
 from tacgen.objects.cutting import CONCAVITIES, convex_parts, cut_again
 from tacgen.objects.description import NAME_PATTERN
 from tacgen.objects.grasp_ranges import (
@@ -35,8 +32,7 @@ from tacgen.objects.load import load_object, write_meshes
 from tacgen.objects.mesh_import import FORMATS, UP_AXES, import_surface, placed
 from tacgen.objects.meshes import mass_properties, volume_mm3
 from tacgen.objects.trial import tried_ranges
-from tacgen.physics.frames import rotation_about_z
-from tacgen.physics.rest import angle_deg, toppled
+from tacgen.physics.rest import toppled
 
 DEFAULT_FRICTION = 0.4  # the largest of the shipped objects'
 DENSEST_G_CM3, LIGHTEST_G_CM3 = 23.0, 0.005  # Osmium, and a little less than the lightest foam
@@ -219,11 +215,11 @@ def _turned(surface: Mesh, yaw_rad: float | None) -> tuple[float, Mesh, list[str
 
 
 def _rest_note(turn: NDArray[np.float64]) -> str:
-    axis = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-    axis = axis / max(float(np.linalg.norm(axis)), 1e-12)
+    axis = twice_sine(turn) / max(float(np.linalg.norm(twice_sine(turn))), 1e-12)
+    angle_deg = np.degrees(turn_rad(turn))
     return (
         "its centre of mass is not over what it stands on: rested as it topples, turned by "
-        f"{angle_deg(turn):.0f}° about ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f}); look at its "
+        f"{angle_deg:.0f}° about ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f}); look at its "
         "picture, --keep-pose keeps the mesh's own pose"
     )
 
@@ -382,11 +378,7 @@ def _write(
 ) -> None:
     """Write and read back a folder beside its place, then rename it there."""
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        work = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".part", dir=folder.parent))
-        try:
-            fresh = work / folder.name
-            fresh.mkdir()
+        with atomic_folder(folder, replaces=force) as fresh:
             mesh = trimesh.Trimesh(surface.vertices_mm, surface.faces, process=False)
             mesh.export(fresh / "surface.ply", encoding="binary")
             write_meshes(fresh / "collision.npz", parts)
@@ -395,15 +387,6 @@ def _write(
             )
             (fresh / "object.yaml").write_text(text, encoding="utf-8")
             load_object(fresh)
-            for path in fresh.iterdir():
-                sync_file(path)
-            sync_file(fresh)
-            if force and folder.exists():
-                os.replace(folder, work / "replaced")
-            os.replace(fresh, folder)
-            sync_file(folder.parent)
-        finally:
-            shutil.rmtree(work, ignore_errors=True)
     except OSError as error:
         msg = f"{folder}: cannot be written: {error.strerror or error}; check the folder and disk"
         raise ObjectError(msg) from None

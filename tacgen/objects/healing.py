@@ -10,6 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from tacgen.core.compiled import njit
 from tacgen.core.records import Mesh, frozen_array
 from tacgen.core.types import FloatArray
+from tacgen.objects.meshes import solid_angles
 
 SHEET_SHARE = 0.25
 """Of the surface that would be invented, from which on the faces are sheets: a flat one takes half,
@@ -92,19 +93,12 @@ def _are_shown(
     piece: NDArray[np.integer],
     caps: list[NDArray[np.int64]],
 ) -> NDArray[np.bool_]:
-    """Whether each cap lies outside of all other pieces, by its largest triangle's middle.
-
-    Source: Van Oosterom & Strackee 1983, The solid angle of a plane triangle; a closed surface
-    fills 4π around a point in it.
-    """
+    """Whether each cap lies outside of all other pieces, by its largest triangle's middle."""
     shown = np.ones(len(caps), dtype=bool)
     sizes = [float(_areas_mm2(points_mm[cap]).sum()) for cap in caps]
     for k in np.argsort(sizes)[::-1][:MOST_HIDDEN]:
         largest = caps[k][np.argmax(_areas_mm2(points_mm[caps[k]]))]
-        a, b, c = np.moveaxis(points_mm[faces] - points_mm[largest].mean(axis=0), 1, 0)
-        x, y, z = (np.linalg.norm(side, axis=1) for side in (a, b, c))
-        below = x * y * z + (a * b).sum(1) * z + (b * c).sum(1) * x + (c * a).sum(1) * y
-        angle = 2 * np.arctan2((a * np.cross(b, c)).sum(1), below)
+        angle = solid_angles(points_mm[faces] - points_mm[largest].mean(axis=0))
         own = piece[np.flatnonzero((faces == largest).all(axis=1))[0]]
         shares = np.abs(np.bincount(piece.astype(np.int64), angle)) / (4 * np.pi)
         shown[k] = not (np.delete(shares, own) > 0.5).any()

@@ -50,17 +50,23 @@ def from_manifold(solid: manifold3d.Manifold) -> Mesh:
 
 
 def is_inside(solid: Mesh, point_mm: FloatArray) -> bool:
-    """Whether a point is within a closed mesh.
+    """Whether a point is within a closed mesh: the solid angles of its faces add up to 4π there."""
+    angles = solid_angles(solid.vertices_mm[solid.faces] - point_mm)
+    return bool(abs(angles.sum()) > 2 * np.pi)
 
-    Source: van Oosterom & Strackee 1983: the solid angles of its faces add up to 4π inside, to 0
-    outside.
+
+def solid_angles(corners_mm: FloatArray) -> FloatArray:
+    """The solid angle (n,) of each triangle (n, 3, 3) from the origin, by the side that it shows.
+
+    Those of a closed surface add up to ±4π inside, to 0 outside.
+
+    Source: van Oosterom & Strackee 1983, The solid angle of a plane triangle.
     """
-    a, b, c = np.moveaxis(solid.vertices_mm[solid.faces] - point_mm, 1, 0)
+    a, b, c = np.moveaxis(corners_mm, 1, 0)
     x, y, z = (np.linalg.norm(corner, axis=1) for corner in (a, b, c))
     ab, ac, bc = (np.einsum("ij,ij->i", *pair) for pair in ((a, b), (a, c), (b, c)))
     volume = np.einsum("ij,ij->i", a, np.cross(b, c))
-    angles = 2 * np.arctan2(volume, x * y * z + ab * z + ac * y + bc * x)
-    return bool(abs(angles.sum()) > 2 * np.pi)
+    return np.asarray(2 * np.arctan2(volume, x * y * z + ab * z + ac * y + bc * x))
 
 
 def volume_mm3(solid: Mesh) -> float:

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from tacgen.core.files import atomic_path
 from tacgen.core.images import evenly
 from tacgen.core.records import GraspObject, Mesh
-from tacgen.objects.shading import depth_view, shaded_view, view_axes
+from tacgen.objects.pinhole import Solid, camera_around, pinhole_view
+from tacgen.objects.shading import depth_view, view_axes
 
 WINDOW_PX, MM_PER_PX = (480, 640), 0.0295  # the window of the default sensor
+PICTURE_PX = (480, 480)
 VIEWS = (("from the front", 35.0, 25.0), ("as the pad comes", 0.0, 0.0), ("from above", 0.0, 89.9))
 TOPPLES = ("as in its file: it topples", 35.0, 10.0)
 
@@ -30,9 +32,7 @@ def write_picture(obj: GraspObject, path: Path, toppled_from: Mesh | None = None
         surface = obj.surface
         if axis is axes[0, -1] and toppled_from is not None:
             surface, (title, azimuth, elevation) = toppled_from, TOPPLES
-        axis.imshow(
-            shaded_view(surface, obj.color_rgb, azimuth_deg=azimuth, elevation_deg=elevation)
-        )
+        axis.imshow(seen_from(surface, obj.color_rgb, azimuth, elevation))
         axis.set_title(title)
         axis.set_axis_off()
     places = list(itertools.product(obj.grasp_ranges["y_mm"], obj.grasp_ranges["z_mm"]))
@@ -49,6 +49,14 @@ def write_picture(obj: GraspObject, path: Path, toppled_from: Mesh | None = None
     )
     with atomic_path(path) as partial:
         canvas.print_figure(partial, format="png", dpi=100)
+
+
+def seen_from(
+    surface: Mesh, color_rgb: tuple[int, int, int], azimuth_deg: float, elevation_deg: float
+) -> NDArray[np.uint8]:
+    """A picture (H, W, 3) of a surface from a direction, on white."""
+    camera = camera_around(surface.vertices_mm, PICTURE_PX, azimuth_deg, elevation_deg)
+    return pinhole_view(camera, [Solid(surface.vertices_mm, surface.faces, color_rgb)])[0]
 
 
 def relief(obj: GraspObject, y_mm: float, z_mm: float) -> NDArray[np.uint8]:

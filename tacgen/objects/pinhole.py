@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.compiled import njit
-from tacgen.core.records import Camera, Mesh
-from tacgen.objects.shading import nearest_face
+from tacgen.core.records import Camera, Mesh, frozen_array
+from tacgen.objects.shading import nearest_face, view_axes
 
 NEAR_MM = 1.0  # what is nearer to the pinhole is not seen
 SAMPLES = 3
@@ -24,6 +24,8 @@ LIGHTS = ((0.45, 0.55, 0.7, 0.4), (-0.7, 0.1, 0.7, 0.25), (0.2, -0.8, 0.6, 0.3))
 """Direction towards each light in the world, and its strength: no side of an object is black, and
 what faces up is nearly as bright as its colour."""
 BACKGROUND_RGB = (255, 255, 255)
+FAR, FILLED = 6.0, 0.92
+"""Of a picture of things: how far its camera is, in their sizes, and what they fill of a side."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,3 +199,27 @@ def pinhole_view(
     background = np.array(BACKGROUND_RGB, np.float64)
     _resolved(nearness, seen, color[source], segment[source], background, rgb, depth_mm, ids)
     return rgb, depth_mm, ids
+
+
+def camera_around(
+    points_mm: NDArray[np.float64],
+    size_px: tuple[int, int],
+    azimuth_deg: float,
+    elevation_deg: float,
+) -> Camera:
+    """A far camera, from a direction, whose picture (height, width) a box around points fills."""
+    ends_mm = np.array([points_mm.min(axis=0), points_mm.max(axis=0)])
+    corners_mm = np.array([ends_mm[choice, range(3)] for choice in np.ndindex(2, 2, 2)])
+    right, up, towards = view_axes(azimuth_deg, elevation_deg)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([right, -up, -towards], axis=1)
+    size_mm = float(np.linalg.norm(ends_mm[1] - ends_mm[0]))
+    pose[:3, 3] = ends_mm.mean(axis=0) + FAR * size_mm * towards
+    x, y, z = _in_camera(corners_mm, pose).T
+    across = np.stack([x / z, y / z], axis=1)
+    low, high = across.min(axis=0), across.max(axis=0)
+    sides_px = np.array(size_px[::-1])
+    focal_px = FILLED * float((sides_px / (high - low)).min())
+    x_px, y_px = (sides_px - 1) / 2 - focal_px * (low + high) / 2
+    k_px = frozen_array([[focal_px, 0, x_px], [0, focal_px, y_px], [0, 0, 1]])
+    return Camera("around", *size_px, k_px, frozen_array(pose))

@@ -1,15 +1,10 @@
-"""A small shaded orthographic view of a mesh, on the processor alone."""
-
-from typing import Any
+"""What is nearest in a picture of a mesh, on the processor alone; orthographic views."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.compiled import njit
 from tacgen.core.records import Mesh
-
-LIGHTS = ((0.45, 0.55, 0.7, 0.75), (-0.7, 0.1, 0.7, 0.45))
-"""Direction towards each light in view axes (right, up, towards the viewer), and its strength."""
 
 
 @njit(cache=True)
@@ -50,19 +45,6 @@ def nearest_face(
     return depth, face
 
 
-@njit(cache=True)
-def _mean_of_samples(colors: np.ndarray, sample: np.ndarray, picture: np.ndarray) -> None:
-    """Fill ``picture`` (H, W, 3) with the means of the ``colors`` (n, 3) of 2 × 2 samples each."""
-    for row in range(picture.shape[0]):
-        for column in range(picture.shape[1]):
-            upper, lower = sample[2 * row], sample[2 * row + 1]
-            left, right = 2 * column, 2 * column + 1
-            for k in range(3):
-                above = colors[upper[left], k] + colors[upper[right], k]
-                below = colors[lower[left], k] + colors[lower[right], k]
-                picture[row, column, k] = np.uint8(min(max((above + below) / 4, 0.0), 255.0))
-
-
 def view_axes(azimuth_deg: float, elevation_deg: float) -> NDArray[np.float64]:
     """Rows (3, 3): the view's right, up and towards-the-viewer, for a viewer at those angles."""
     azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
@@ -86,48 +68,3 @@ def depth_view(
     seen[:, 1] = (height - 1) / 2 - seen[:, 1] / mm_per_px
     depth, face = nearest_face(seen, mesh.faces, height, width)
     return depth, face
-
-
-def shaded_view(
-    mesh: Mesh,
-    color_rgb: tuple[int, int, int] | NDArray[Any],
-    *,
-    azimuth_deg: float,
-    elevation_deg: float,
-    size_px: tuple[int, int] = (480, 480),
-    fill: float = 0.92,
-) -> NDArray[np.uint8]:
-    """A shaded picture (H, W, 3) of the whole mesh on white, smoothed by 2 × 2 samples.
-
-    ``color_rgb`` is one colour, or one a face, (m, 3).
-    """
-    axes = view_axes(azimuth_deg, elevation_deg)
-    flat = np.ascontiguousarray((mesh.vertices_mm @ axes.T).T)
-    low, high = flat.min(axis=1), flat.max(axis=1)
-    samples = (2 * size_px[0], 2 * size_px[1])
-    extent = (high - low)[:2]
-    mm_per_px = float(max(extent[0] / samples[1], extent[1] / samples[0]) / fill)
-    center = axes.T @ ((low + high) / 2)
-    _, face = depth_view(mesh, axes, center, samples, mm_per_px)
-
-    # Only faces that are seen need a shade: a few hundred of a fine mesh in a small picture.
-    is_shown = np.zeros(len(mesh.faces) + 1, dtype=bool)  # the last: −1, nothing
-    is_shown[face] = True
-    shown = np.flatnonzero(is_shown[:-1])
-    place = np.full(len(is_shown), len(shown))
-    place[shown] = np.arange(len(shown))
-    corners = mesh.vertices_mm[mesh.faces[shown]]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30) @ axes.T
-    light = np.full(len(shown), 0.25)
-    gloss = np.zeros(len(shown))
-    for *direction, strength in LIGHTS:
-        towards = np.array(direction) / np.linalg.norm(direction)
-        light += strength * np.clip(normals @ towards, 0, None)
-        half = towards + np.array([0.0, 0.0, 1.0])
-        gloss += 0.25 * strength * np.clip(normals @ (half / np.linalg.norm(half)), 0, None) ** 30
-    colors = np.broadcast_to(color_rgb, (len(mesh.faces), 3))[shown]
-    shade = colors * light[:, None] + 255 * gloss[:, None]
-    picture = np.empty((*size_px, 3), dtype=np.uint8)
-    _mean_of_samples(np.vstack([shade, [255.0, 255.0, 255.0]]), place[face], picture)
-    return picture

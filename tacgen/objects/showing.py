@@ -12,7 +12,7 @@ from tacgen.physics.gripper import default_gripper
 from tacgen.physics.settings import PhysicsSettings
 from tacgen.sensor.description import load_sensor
 from tacgen.sensor.gel_response import GelLoad
-from tacgen.sensor.tactile_pad import Imprint, TactilePad, mounted
+from tacgen.sensor.tactile_pad import Imprint, TactilePad
 
 SENSORS = ("gelsight_mini", "digit", "gelsight")
 """By which suggested grasps are judged; a flat gel first, which shows least."""
@@ -64,6 +64,6 @@ def _pad_and_rest(sensor: str) -> tuple[TactilePad, np.ndarray]:
     """A sensor on the default gripper, and its picture at rest."""
     gripper = default_gripper()
     side = PhysicsSettings().sensing_pads[0]
-    found = mounted(load_sensor(sensor), gripper, side)
+    found = gripper.carrying(load_sensor(sensor), side)
     pad = TactilePad(found, load_table(found.table))
     return pad, pad.image(Imprint()).copy()

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.compiled import njit
+from tacgen.core.records import rng_of
 
 _BITS = 12  # 4096 quantiles of the normal distribution: finer than a grey level's rounding
 _LEVELS = 1 << _BITS
@@ -62,7 +63,7 @@ def with_camera_noise(
 
     The image was rounded before, so that its variance is a twelfth of a squared grey level more.
     """
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
+    rng = rng_of(seed, *key)
     noisy = np.empty_like(rgb)
     _camera_noise(sigma_grey).quantize(rgb.astype(np.float32), rng, noisy)
     return noisy

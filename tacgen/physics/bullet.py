@@ -3,11 +3,9 @@
 from collections.abc import Mapping, Sequence
 
 from tacgen.core.records import PADS, GraspObject, Mesh
-from tacgen.core.types import M_PER_MM, FloatArray
+from tacgen.core.types import M_PER_MM, FloatArray, quaternion_from_rotation
 from tacgen.physics import engine
-from tacgen.physics.bodies import ObjectBody
 from tacgen.physics.engine import PALM, TABLE, ContactPoint, Link, Place, Touch, Vector
-from tacgen.physics.frames import quaternion_from_rotation
 from tacgen.physics.gripper import GripperSpec, outline_of, touches_as_sphere
 from tacgen.physics.robots import RobotSpec
 from tacgen.physics.settings import PhysicsSettings
@@ -15,6 +13,7 @@ from tacgen.physics.world import (
     HULL_MARGIN_MM,
     BulletLink,
     Collides,
+    ObjectBody,
     World,
     contact_points,
     link_arguments,

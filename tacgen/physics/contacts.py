@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.records import PADS, ContactFrame, frozen_array
-from tacgen.core.types import MM_PER_M, FloatArray
+from tacgen.core.types import MM_PER_M, FloatArray, Pose, inverse, pose, rotation_of
 from tacgen.physics.engine import TABLE, ContactPoint, Touch
-from tacgen.physics.frames import Pose, inverse, pose, rotation_of
 from tacgen.physics.gripper import Pad
 from tacgen.physics.standing import NEAR_TABLE_M, PadLoad, least_shear, outermost
 

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol, TypeAlias
 
 from tacgen.core.records import GraspObject, Mesh
-from tacgen.core.types import FloatArray
-from tacgen.physics.frames import Pose
+from tacgen.core.types import FloatArray, Pose
 from tacgen.physics.settings import PhysicsSettings
 
 Vector: TypeAlias = tuple[float, ...]

@@ -129,7 +129,7 @@ def run_grasp(
 ) -> GraspTrace:
     """Simulate one grasp of ``obj`` as ``config`` asks; frames in the gel frame (mm, N).
 
-    It is ``start_grasp`` and the lift of what that gives.
+    It is a ``StartedGrasp`` and its lift.
 
     The moment that a pad holds about its normal follows from the patch that ``patch_of`` finds at
     the moment of grasp; without it from that of a flat face on the pad's dome and a gel of the
@@ -142,47 +142,17 @@ def run_grasp(
     Raises ``PhysicsError`` if the force is not one the gripper can be asked for, or the simulator
     has another engine than ``settings``.
     """
-    return start_grasp(
-        simulator,
-        obj,
-        config,
-        settings,
-        frames=frames,
-        patch_of=patch_of,
-        keeps_past=keeps_past,
-    ).lift()
-
-
-def start_grasp(
-    simulator: GraspSimulator,
-    obj: GraspObject,
-    config: GraspConfig,
-    settings: PhysicsSettings,
-    *,
-    frames: FrameRequest,
-    patch_of: PatchOf | None = None,
-    keeps_past: bool = False,
-) -> "StartedGrasp":
-    """Simulate a grasp up to its lift; the arguments and what it raises are ``run_grasp``'s."""
-    if simulator.engine != settings.engine:
-        msg = (
-            f"the settings ask for the engine {settings.engine!r}, the simulator has "
-            f"{simulator.engine!r}; open GraspSimulator(robot, {settings.engine!r})"
-        )
-        raise PhysicsError(msg)
-    pad_depth_mm = simulator.robot.gripper.pad.depth_mm
-    problem = force_problem(config.force_n, settings.max_force_n)
-    problem = problem or settings.compliance_problem(config.force_n, pad_depth_mm)
-    if problem:
-        msg = f"grasp {config.index} of {config.object!r}: force_n {problem}"
-        raise PhysicsError(msg)
-    grasp = StartedGrasp(simulator, obj, config, settings, frames, patch_of, keeps_past)
-    grasp.hold()
-    return grasp
+    started = StartedGrasp(
+        simulator, obj, config, settings, frames=frames, patch_of=patch_of, keeps_past=keeps_past
+    )
+    return started.lift()
 
 
 class StartedGrasp:
-    """A grasp of ``start_grasp``, held and not yet lifted; the next one in its world ends it."""
+    """A grasp up to its lift, held and not yet lifted; the next one in its world ends it.
+
+    The arguments, and what it raises, are those of ``run_grasp``.
+    """
 
     def __init__(
         self,
@@ -190,10 +160,24 @@ class StartedGrasp:
         obj: GraspObject,
         config: GraspConfig,
         settings: PhysicsSettings,
-        request: FrameRequest,
-        patch_of: PatchOf | None,
-        keeps_past: bool,
+        *,
+        frames: FrameRequest,
+        patch_of: PatchOf | None = None,
+        keeps_past: bool = False,
     ) -> None:
+        if simulator.engine != settings.engine:
+            msg = (
+                f"the settings ask for the engine {settings.engine!r}, the simulator has "
+                f"{simulator.engine!r}; open GraspSimulator(robot, {settings.engine!r})"
+            )
+            raise PhysicsError(msg)
+        self.world, self.gripper = simulator.world, simulator.robot.gripper
+        pad = self.gripper.pad
+        problem = force_problem(config.force_n, settings.max_force_n)
+        problem = problem or settings.compliance_problem(config.force_n, pad.depth_mm)
+        if problem:
+            msg = f"grasp {config.index} of {config.object!r}: force_n {problem}"
+            raise PhysicsError(msg)
         self.keeps_past = keeps_past
         simulator.started += 1
         self._simulator, self._number = simulator, simulator.started
@@ -201,15 +185,14 @@ class StartedGrasp:
         self.obj, self.config, self.settings = obj, config, settings
         self.patch_of = patch_of
         self.note = ""
-        self.world, self.gripper = simulator.world, simulator.robot.gripper
         met, height_mm = obj.collision, config.z_mm + settings.height_offset_mm
         if touches_as_sphere(settings.pad_dome_radius_mm):
-            pad_mm = self.gripper.pad.width_mm, self.gripper.pad.height_mm
+            pad_mm = pad.width_mm, pad.height_mm
             met = within_reach(obj.collision, config, height_mm=height_mm, pad_mm=pad_mm)
         self.body, self.robot = self.world.build(obj, settings, config.force_n, met)
-        sequence = request.mode == "sequence"
-        self.frame_ends = frame_end_steps(request, settings.time_step_s) if sequence else []
-        self.ends_at_lift = sequence and request.until == "lift"
+        sequence = frames.mode == "sequence"
+        self.frame_ends = frame_end_steps(frames, settings.time_step_s) if sequence else []
+        self.ends_at_lift = sequence and frames.until == "lift"
         self._gel_steps: list[int] = []
         self.bodies = Bodies(
             pads=self.gripper.sides,
@@ -222,8 +205,9 @@ class StartedGrasp:
             lift_step=sys.maxsize,
             vertices_m=np.concatenate([p.vertices_mm for p in obj.collision]) * M_PER_MM,
         )
+        self._hold()
 
-    def hold(self) -> None:
+    def _hold(self) -> None:
         """Approach, close and hold, to where the lift starts."""
         settings = self.settings
         if fall_deg := topples_deg(self.obj):

@@ -1,6 +1,7 @@
 """Parallel grippers with tactile pads, by name: the YAML files of ``recipes/grippers``."""
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Literal
@@ -9,7 +10,7 @@ import numpy as np
 from pydantic import Field, FiniteFloat, NonNegativeFloat, PositiveFloat, model_validator
 
 from tacgen.core.errors import PhysicsError
-from tacgen.core.records import PADS
+from tacgen.core.records import PADS, Sensor
 from tacgen.core.resources import gripper_path
 from tacgen.core.schema import Section, read_yaml, validate
 from tacgen.core.types import M_PER_MM, FloatArray
@@ -145,6 +146,14 @@ class GripperSpec(Section):
         """The pad of that name."""
         found: Pad = getattr(self.pads, pad)
         return found
+
+    def carrying(self, sensor: Sensor, pad: str) -> Sensor:
+        """The sensor on a pad: its gel, if nothing else is said, is the pad."""
+        if sensor.gel_size_mm:
+            return sensor
+        size_mm = np.array([self.pad.depth_mm, self.pad.width_mm, self.pad.height_mm])
+        width_mm, height_mm, _ = np.abs(size_mm @ self.side(pad).gel_axes).tolist()
+        return replace(sensor, gel_size_mm=(width_mm, height_mm))
 
     @property
     def below_mm(self) -> float:

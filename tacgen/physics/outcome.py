@@ -14,7 +14,17 @@ from tacgen.core.records import (
     GraspObject,
     frozen_array,
 )
-from tacgen.core.types import MM_PER_M, STANDARD_GRAVITY_M_S2, BoolArray, FloatArray
+from tacgen.core.types import (
+    MM_PER_M,
+    STANDARD_GRAVITY_M_S2,
+    BoolArray,
+    FloatArray,
+    inverse,
+    pose,
+    quaternion_from_rotation,
+    rotation_of,
+    turn_rad,
+)
 from tacgen.physics.contacts import (
     Bodies,
     Placement,
@@ -29,7 +39,6 @@ from tacgen.physics.contacts import (
     with_past,
 )
 from tacgen.physics.engine import Touch
-from tacgen.physics.frames import inverse, pose, quaternion_from_rotation, rotation_of, turn_rad
 from tacgen.physics.margins import (
     Capacity,
     TorsionLimit,

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.records import GraspObject
-from tacgen.core.types import FloatArray
+from tacgen.core.types import FloatArray, turn_rad
 from tacgen.physics.world import ball_of
 
 TOUCH_MM = 1e-6  # of the lowest corner, within which others touch the table too: roundoff
@@ -37,12 +37,7 @@ def topples_deg(obj: GraspObject) -> float:
 @lru_cache(maxsize=16)
 def _topples_deg(corners_mm: bytes, center_mm: bytes) -> float:
     turn = toppled(np.frombuffer(corners_mm).reshape(-1, 3), np.frombuffer(center_mm))
-    return 0.0 if turn is None else angle_deg(turn)
-
-
-def angle_deg(turn: FloatArray) -> float:
-    """The angle of a rotation (3, 3)."""
-    return float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1.0, 1.0))))
+    return 0.0 if turn is None else float(np.degrees(turn_rad(turn)))
 
 
 def toppled(points_mm: FloatArray, center_of_mass_mm: FloatArray) -> NDArray[np.float64] | None:

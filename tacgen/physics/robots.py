@@ -8,10 +8,9 @@ import numpy as np
 
 from tacgen.core.errors import PhysicsError, RecipeError
 from tacgen.core.resources import gripper_path
-from tacgen.core.types import M_PER_MM, MM_PER_M, FloatArray
+from tacgen.core.types import M_PER_MM, MM_PER_M, FloatArray, Pose, inverse, pose, rotation_about_z
 from tacgen.physics import ur5e
 from tacgen.physics.engine import Fingers, GripperTarget, Joints, Link, Place, Robot, Vector
-from tacgen.physics.frames import Pose, inverse, pose, rotation_about_z
 from tacgen.physics.gripper import GripperSpec, load_gripper
 from tacgen.physics.settings import PhysicsSettings
 

@@ -5,8 +5,7 @@ Source: Universal Robots, "DH Parameters for calculations of kinematics and dyna
 
 import numpy as np
 
-from tacgen.core.types import FloatArray
-from tacgen.physics.frames import Pose, pose, twice_sine
+from tacgen.core.types import FloatArray, Pose, pose, twice_sine
 
 A_M = (0.0, -0.425, -0.3922, 0.0, 0.0, 0.0)  # Universal Robots, DH parameters of the UR5e
 D_M = (0.1625, 0.0, 0.0, 0.1333, 0.0997, 0.0996)  # the same source

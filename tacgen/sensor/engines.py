@@ -5,10 +5,8 @@ Engines are in metres; what leaves this module is in mm, N and the gel frame.
 
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Container, Hashable, Iterable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,16 +17,13 @@ from tacgen.contact.gel import gel_size_mm
 from tacgen.contact.raster import dome_mm
 from tacgen.core.errors import SensorError
 from tacgen.core.records import Mesh, Sensor
-from tacgen.core.types import MM_PER_M, BoolArray, FloatArray
-from tacgen.physics.frames import inverse, pose, rotation_of
+from tacgen.core.types import MM_PER_M, BoolArray, FloatArray, inverse
 from tacgen.sensor.tactile_pad import Imprint
 
 SPHERE_SUBDIVISIONS = 6  # 82 k triangles: facets of a ball of 10 mm are then flatter than 1 µm
 TOUCHING_GAP_M = 2e-3
 """Bodies farther apart than this, and than they move in a step, do not press on each other: Bullet
 lets bodies sink in and rebound by tenths of a millimetre."""
-
-SOFT_BODY = 3  # among the kinds of PyBullet's getDynamicsInfo
 
 NO_MESH = Mesh.fixed(np.zeros((0, 3)), np.zeros((0, 3)))
 
@@ -218,479 +213,31 @@ class EngineContacts(ABC):
         """
 
 
-@dataclass(slots=True)
-class _BulletStep:
-    """What PyBullet said when it was last read.
+def solid(kind: str, *size_m: float) -> trimesh.Trimesh:
+    """A ``box`` of extents, a ``sphere`` of a radius, a ``cylinder`` or a ``capsule``, about 0.
 
-    Attributes
-    ----------
-    contacts : (n, 13) float
-        Points on both bodies, normal, distance, and the impulses of the last substep, N s.
-    poses_m : (1 + bodies, 4, 4) float
-        Poses of the gel and of the objects.
-    step_s, substeps : float, int
-        With which the step was made.
+    The latter two are of a radius, and their cylinder of a length along z.
     """
-
-    contacts: FloatArray
-    poses_m: FloatArray
-    step_s: float
-    substeps: int
-
-    def is_of_the_step_of(self, other: "_BulletStep") -> bool:
-        """Whether no step was made in between: contacts and impulses are the same."""
-        return (
-            self.contacts.shape == other.contacts.shape
-            and self.poses_m.shape == other.poses_m.shape
-            and np.array_equal(self.contacts[:, :10], other.contacts[:, :10])
-            and np.allclose(self.contacts[:, 10:], other.contacts[:, 10:], rtol=1e-9, atol=0.0)
-        )
-
-
-class PyBulletContacts(EngineContacts):
-    """A link of a PyBullet body that carries the gel."""
-
-    def __init__(
-        self,
-        sensor: Sensor,
-        body_id: int,
-        link_id: int,
-        pose_link_gel_m: FloatArray,
-        client_id: int,
-    ) -> None:
-        import pybullet
-
-        super().__init__(sensor)
-        self._bullet, self._client = pybullet, client_id
-        self._body, self._link, self._gel = int(body_id), int(link_id), pose_link_gel_m
-        self._last: _BulletStep | None = None
-        self._refuse_soft(self._body)
-        n_links = self._asked("body", body_id, pybullet.getNumJoints, self._body)
-        if not -1 <= self._link < n_links:
-            msg = f"link_id = {link_id}: body {body_id} has links -1 (its base) to {n_links - 1}"
-            raise SensorError(msg)
-
-    def _asked(self, what: str, which: object, function: Any, *arguments: Any) -> Any:
-        try:
-            return function(*arguments, physicsClientId=self._client)
-        except self._bullet.error as error:
-            msg = f"PyBullet has no {what} {which} on client {self._client}: {error}"
-            raise SensorError(msg) from None
-
-    def clock_s(self) -> float | None:
-        """PyBullet keeps no clock."""
-        return None
-
-    def time_step_s(self) -> float:
-        """The simulation's fixed step."""
-        known = self._bullet.getPhysicsEngineParameters(physicsClientId=self._client)
-        return float(known["fixedTimeStep"])
-
-    def add_object(self, body: Any, mesh: Mesh | None) -> None:
-        """Watch for contacts of a body's links; ``mesh`` is in the frame of its base link."""
-        number = int(body)
-        self._refuse_soft(number)
-        links = range(-1, self._asked("body", body, self._bullet.getNumJoints, number))
-        if mesh is None:
-            has_shapes = [k for k in links if self._shape_data((number, k))]
-            if not has_shapes:
-                msg = f"body {body} has no shape that collides; give a mesh: add_object(…, mesh=…)"
-                raise SensorError(msg)
-            self._own_mesh((number, has_shapes[0]))
-        self._watch(number, [(number, k) for k in links], mesh)
-
-    def _refuse_soft(self, body: int) -> None:
-        """Raise a ``SensorError`` for a soft body: of those PyBullet tells no collision shape."""
-        info = self._asked("body", body, self._bullet.getBodyInfo, body)
-        if self._asked("body", body, self._bullet.getDynamicsInfo, body, -1)[10] == SOFT_BODY:
-            msg = (
-                f"body {body} ({info[1].decode() or 'without a name'}) is soft: the sensor cannot "
-                "draw a surface that the engine deforms; use rigid bodies"
-            )
-            raise SensorError(msg)
-
-    def _shape_data(self, part: Part) -> Any:
-        return self._asked("body", part[0], self._bullet.getCollisionShapeData, *part)
-
-    def _shapes(self, part: Part) -> Hashable:
-        data, meshes = self._shape_data(part), list[object]()
-        for k, one in enumerate(data):
-            if one[2] == self._bullet.GEOM_MESH:
-                file = Path(one[4].decode())
-                is_there = file.is_file()
-                meshes.append(file.stat().st_mtime_ns if is_there else self._vertices_m(part, k))
-        name = self._asked("body", part[0], self._bullet.getBodyInfo, part[0])
-        place = self._asked("body", part[0], self._bullet.getDynamicsInfo, *part)[3:5]
-        return data, name, place, tuple(meshes)
-
-    def _root(self, body: int) -> int:
-        return -1
-
-    def _mesh_of(self, part: Part) -> Mesh:
-        body, link = part
-        data = self._shape_data(part)
-        shapes = [_bullet_shape(one, partial(self._hull_of, part, k)) for k, one in enumerate(data)]
-        found = _merged(shapes, f"link {link} of body {body}")
-        inertial = self._inertial_of(part)
-        vertices_m = found.vertices @ inertial[:3, :3].T + inertial[:3, 3]
-        return Mesh.fixed(MM_PER_M * vertices_m, found.faces)
-
-    def _hull_of(self, part: Part, number: int) -> trimesh.Trimesh | None:
-        """The convex hull that a shape collides as, in the inertial frame, if PyBullet has it.
-
-        It makes one of a URDF's cylinder.
-        """
-        vertices_m = self._vertices_m(part, number)
-        return trimesh.Trimesh(vertices_m).convex_hull if len(vertices_m) > 3 else None
-
-    def _vertices_m(self, part: Part, number: int) -> tuple[tuple[float, ...], ...]:
-        known: tuple[tuple[float, ...], ...] = self._bullet.getMeshData(
-            *part, collisionShapeIndex=number, physicsClientId=self._client
-        )[1]
-        return known
-
-    def _inertial_of(self, part: Part) -> FloatArray:
-        """The inertial frame of a link in the link's own; shapes are given in it."""
-        known = self._asked("body", part[0], self._bullet.getDynamicsInfo, *part)
-        return pose(rotation_of(known[4]), known[3])
-
-    def _part_pose_m(self, part: Part) -> FloatArray:
-        body, link = part
-        if link == -1:
-            at, turned = self._asked("body", body, self._bullet.getBasePositionAndOrientation, body)
-            return pose(rotation_of(turned), at) @ inverse(self._inertial_of(part))
-        state = self._link_state(part)
-        return pose(rotation_of(state[5]), state[4])
-
-    def _link_state(self, part: Part) -> Any:
-        return self._bullet.getLinkState(
-            *part, computeLinkVelocity=True, computeForwardKinematics=True,
-            physicsClientId=self._client,
-        )  # fmt: skip
-
-    def _velocity_m_s(self, part: Part) -> Any:
-        if part[1] == -1:
-            return self._asked("body", part[0], self._bullet.getBaseVelocity, part[0])[0]
-        return self._link_state(part)[6]
-
-    def _gel_pose_m(self) -> FloatArray:
-        return self._part_pose_m((self._body, self._link)) @ self._gel
-
-    def _fresh_contacts(self) -> list[tuple[Part, tuple[Any, ...]]]:
-        """What presses, and its contact points of the last step, with the forces that acted in it.
-
-        PyBullet divides the impulse of the last substep by the whole ``fixedTimeStep``, as that is
-        now; and it keeps contacts of bodies that were moved since. Bodies that are apart do not
-        press on each other.
-
-        Raises ``SensorError`` where a body was moved since the last step and still touches: then
-        no force is known.
-        """
-        raw = self._bullet.getContactPoints(physicsClientId=self._client)
-        known = self._bullet.getPhysicsEngineParameters(physicsClientId=self._client)
-        step_s, substeps = float(known["fixedTimeStep"]), max(1, int(known["numSubSteps"]))
-        pressing = [(self._part_of(contact), contact) for contact in raw if contact[9] > 0]
-        touching = [(part, contact) for part, contact in pressing if part is not None]
-        numbers = [(*c[5], *c[6], *c[7], c[8], *(step_s * c[k] for k in (9, 10, 12))) for c in raw]
-        touched = {part for part, _ in touching}
-        for body in {body for body, _ in touched}:
-            self._refuse_soft(body)  # the number may have been a rigid one's
-        places = [self._part_pose_m(part) for part in sorted(touched)]
-        now = _BulletStep(np.array(numbers), np.array([self._gel_pose_m(), *places]), step_s,
-                          substeps)  # fmt: skip
-        near = {part for part in touched if self._is_near(part, step_s)}
-        moved = False
-        if self._last is not None and len(raw) and self._last.is_of_the_step_of(now):
-            moved = not np.allclose(now.poses_m, self._last.poses_m, rtol=0.0, atol=1e-6)
-            now = self._last  # the step was made with what was set then
-        self._last = now if near == touched or moved else None
-        if moved and near:
-            bodies_named = ", ".join(map(str, sorted({body for body, _ in near})))
-            fix = "call stepSimulation after resetting poses or joints, before read()"
-            msg = f"body {bodies_named} or the gel was moved since the last step: {fix}"
-            raise SensorError(msg)
-        factor = now.substeps * step_s / now.step_s
-        return [
-            (part, (*c[:9], factor * c[9], factor * c[10], c[11], factor * c[12], *c[13:]))
-            for part, c in touching
-            if part in near
-        ]
-
-    def _part_of(self, contact: tuple[Any, ...]) -> Part | None:
-        """The part of an object that a contact point lies on; None where it is not of the gel."""
-        sides = (contact[1], contact[3]), (contact[2], contact[4])
-        gel = self._body, self._link
-        for side, other in (sides, sides[::-1]):
-            if other == gel and side != gel and side[0] in self._given:
-                return side
-        return None
-
-    def _is_near(self, part: Part, step_s: float) -> bool:
-        """Whether a part and the gel are as near as pressing bodies are."""
-        gel = self._body, self._link
-        speeds = [self._velocity_m_s(one) for one in (part, gel)]
-        reach = TOUCHING_GAP_M + step_s * float(np.linalg.norm(np.subtract(*speeds)))
-        found = self._bullet.getClosestPoints(
-            part[0], self._body, reach, linkIndexA=part[1], linkIndexB=self._link,
-            physicsClientId=self._client,
-        )  # fmt: skip
-        return bool(found)
-
-    def _forces_on_gel(self) -> tuple[FloatArray, FloatArray, FloatArray, list[Part]]:
-        gel = self._body, self._link
-        points, forces, parts = list[Any](), list[Any](), list[Part]()
-        for part, raw in self._fresh_contacts():
-            sides = {(raw[1], raw[3]): 1.0, (raw[2], raw[4]): -1.0}
-            # As PyBullet gives them, normal force and friction act on the first.
-            on_gel = sides[gel] * (
-                raw[9] * np.array(raw[7])
-                + raw[10] * np.array(raw[11])
-                + raw[12] * np.array(raw[13])
-            )
-            points.append(raw[5] if sides[part] > 0 else raw[6])
-            forces.append(on_gel)
-            parts.append(part)
-        points_m, forces_n = np.array(points).reshape(-1, 3), np.array(forces).reshape(-1, 3)
-        return points_m, forces_n, np.zeros_like(forces_n), parts  # it tells of no moments
-
-
-class MujocoContacts(EngineContacts):
-    """A body of a MuJoCo model that carries the gel."""
-
-    def __init__(
-        self, sensor: Sensor, model: Any, data: Any, body: int | str, pose_body_gel_m: FloatArray
-    ) -> None:
-        import mujoco
-
-        super().__init__(sensor)
-        self._mujoco, self._model, self._data = mujoco, model, data
-        self._scratch = mujoco.MjData(model)
-        self._body, self._gel = self._body_id(body), pose_body_gel_m
-
-    def _body_id(self, body: int | str) -> int:
-        if isinstance(body, str):
-            found = self._mujoco.mj_name2id(self._model, self._mujoco.mjtObj.mjOBJ_BODY, body)
-        else:
-            found = int(body) if 0 <= int(body) < self._model.nbody else -1
-        if found < 0:
-            names = [self._model.body(k).name for k in range(self._model.nbody)]
-            msg = f"the model has no body {body!r}; it has {', '.join(filter(None, names))}"
-            raise SensorError(msg)
-        return int(found)
-
-    def clock_s(self) -> float | None:
-        """The simulation's clock."""
-        return float(self._data.time)
-
-    def time_step_s(self) -> float:
-        """The simulation's step."""
-        return float(self._model.opt.timestep)
-
-    def add_object(self, body: Any, mesh: Mesh | None) -> None:
-        """Watch for contacts of a body and those below it; ``mesh`` is in its body frame."""
-        number = self._body_id(body)
-        parts = [k for k in range(self._model.nbody) if self._object_of(k, {number}) == number]
-        for flex in range(self._model.nflex):
-            start = self._model.flex_vertadr[flex]
-            of_flex = self._model.flex_vertbodyid[start : start + self._model.flex_vertnum[flex]]
-            if {*of_flex.tolist()} & {*parts} - {0}:  # it may be pinned to the world
-                kind = self._mujoco.mjtObj.mjOBJ_FLEX
-                name = self._mujoco.mj_id2name(self._model, kind, flex)
-                msg = (
-                    f"body {body!r} is of the flex {name!r}, which is soft: "
-                    "the sensor cannot draw a surface that the engine deforms; use rigid bodies"
-                )
-                raise SensorError(msg)
-        if not any(self._touching_geoms(k) for k in parts):
-            msg = (
-                f"body {body!r} has no geom that can touch the sensor's (contype, conaffinity); "
-                "name the body that does"
-            )
-            raise SensorError(msg)
-        self._watch(number, [(number, k) for k in parts], mesh)
-
-    def _object_of(self, body: int, objects: Container[int]) -> int | None:
-        """The nearest of the objects that a body belongs to; the world's is only itself."""
-        if body == self._body:
-            return None
-        here = body
-        while here not in objects and here != 0:
-            here = int(self._model.body_parentid[here])
-        return here if here in objects and (here != 0 or body == 0) else None
-
-    def _touching_geoms(self, body: int) -> list[int]:
-        """The geoms of a body that can touch those of the gel's: others are there for show."""
-        model = self._model
-        gel, own = (
-            range(model.body_geomadr[k], model.body_geomadr[k] + model.body_geomnum[k])
-            for k in (self._body, body)
-        )
-        pairs = {*zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)}
-
-        def touch(one: int, other: int) -> bool:
-            masks = model.geom_contype, model.geom_conaffinity
-            meets = masks[0][one] & masks[1][other] or masks[0][other] & masks[1][one]
-            return bool(meets) or bool({(one, other), (other, one)} & pairs)
-
-        return [one for one in own if any(touch(one, other) for other in gel)]
-
-    def _root(self, body: int) -> int:
-        return body
-
-    def _shapes(self, part: Part) -> Hashable:
-        return tuple(self._made_from(geom) for geom in self._touching_geoms(part[1]))
-
-    def _made_from(self, geom: int) -> tuple[bytes, ...]:
-        model = self._model
-        kept = [model.geom_type, model.geom_size, model.geom_pos, model.geom_quat]
-        found = [np.array(one[geom]).tobytes() for one in kept]
-        if model.geom_type[geom] == self._mujoco.mjtGeom.mjGEOM_MESH:
-            found += [one.tobytes() for one in self._mesh(geom)]
-        return tuple(found)
-
-    def _mesh(self, geom: int) -> tuple[FloatArray, NDArray[np.int32]]:
-        """Vertices and faces of a geom's mesh."""
-        model, number = self._model, self._model.geom_dataid[geom]
-        vertex, face = model.mesh_vertadr[number], model.mesh_faceadr[number]
-        return (
-            model.mesh_vert[vertex : vertex + model.mesh_vertnum[number]],
-            model.mesh_face[face : face + model.mesh_facenum[number]],
-        )
-
-    def _mesh_of(self, part: Part) -> Mesh:
-        shapes = [self._shape(k) for k in self._touching_geoms(part[1])]
-        found = _merged(shapes, f"body {self._model.body(part[1]).name!r}")
-        return Mesh.fixed(MM_PER_M * np.asarray(found.vertices), found.faces)
-
-    def _shape(self, geom: int) -> trimesh.Trimesh:
-        kinds, size = self._mujoco.mjtGeom, self._model.geom_size[geom]
-        kind = self._model.geom_type[geom]
-        shape: trimesh.Trimesh
-        if kind == kinds.mjGEOM_SPHERE:
-            shape = trimesh.creation.icosphere(SPHERE_SUBDIVISIONS, size[0])
-        elif kind == kinds.mjGEOM_ELLIPSOID:
-            shape = trimesh.creation.icosphere(SPHERE_SUBDIVISIONS)
-            shape.apply_scale(size)
-        elif kind == kinds.mjGEOM_BOX:
-            shape = trimesh.creation.box(2 * size)
-        elif kind == kinds.mjGEOM_CYLINDER:
-            shape = trimesh.creation.cylinder(size[0], 2 * size[1], sections=SECTIONS)
-        elif kind == kinds.mjGEOM_CAPSULE:
-            shape = _capsule(size[0], 2 * size[1])
-        elif kind == kinds.mjGEOM_MESH:
-            shape = trimesh.Trimesh(*self._mesh(geom), process=False)
-        else:
-            name = self._model.geom(geom).name
-            msg = f"geom {name!r} has no mesh of its own; give one: add_object(body, mesh=…)"
-            raise SensorError(msg)
-        w, x, y, z = self._model.geom_quat[geom]
-        shape.apply_transform(pose(rotation_of([x, y, z, w]), self._model.geom_pos[geom]))
-        return shape
-
-    def _gel_pose_m(self) -> FloatArray:
-        return self._part_pose_m((self._body, self._body)) @ self._gel
-
-    def _part_pose_m(self, part: Part) -> FloatArray:
-        body = part[1]
-        return pose(np.array(self._data.xmat[body]).reshape(3, 3), np.array(self._data.xpos[body]))
-
-    def _joint_places(self, back_s: float) -> FloatArray:
-        """Place and rotation (n, 12) of all bodies by the joints, so long before at this speed."""
-        there, now = self._scratch, self._data
-        there.qpos[:], there.mocap_pos[:], there.mocap_quat[:] = (
-            now.qpos, now.mocap_pos, now.mocap_quat,
-        )  # fmt: skip
-        if back_s:
-            self._mujoco.mj_integratePos(self._model, there.qpos, now.qvel, -back_s)
-        self._mujoco.mj_kinematics(self._model, there)
-        return np.hstack([there.xpos, there.xmat])
-
-    def _refuse_moved(self, parts: Sequence[Part]) -> None:
-        """Raise a ``SensorError`` where ``qpos`` was set since poses and contacts were computed.
-
-        MuJoCo computes them at the beginning of a step: they may be as old as that.
-        """
-        places, step_s = self._joint_places(0.0), self.time_step_s()
-        moved = np.linalg.norm(places - self._joint_places(step_s), axis=1)
-        there = np.hstack([self._data.xpos, self._data.xmat])
-        off = np.linalg.norm(there - places, axis=1)
-        for body in {self._body, *self._given, *(body for _, body in parts)}:
-            is_mocap = self._model.body_mocapid[self._model.body_rootid[body]] >= 0
-            if off[body] > 1e-6 + 2.0 * moved[body] and not is_mocap:
-                name = self._model.body(body).name or body
-                msg = (
-                    f"body {name}: qpos is not that of the contacts: it was set since; call "
-                    "mj_forward or mj_step after setting it, before read()"
-                )
-                raise SensorError(msg)
-
-    def _forces_on_gel(self) -> tuple[FloatArray, FloatArray, FloatArray, list[Part]]:
-        points, wrenches, parts = list[FloatArray](), list[FloatArray](), list[Part]()
-        for k in range(self._data.ncon):
-            contact = self._data.contact[k]
-            if min(contact.geom) < 0:  # of a soft body, which has no geoms
-                continue
-            first, second = (int(self._model.geom_bodyid[g]) for g in contact.geom)
-            if self._body not in (first, second):
-                continue
-            other = first if second == self._body else second
-            if (owner := self._object_of(other, self._given)) is None:
-                continue
-            wrench = np.zeros(6)
-            self._mujoco.mj_contactForce(self._model, self._data, k, wrench)
-            # In the contact's frame, rows of `frame`; it acts on the second geom. With condim 4
-            # and 6 friction also holds the turn about the contact's axes, by a moment.
-            on_second = wrench.reshape(2, 3) @ np.array(contact.frame).reshape(3, 3)
-            wrenches.append(on_second if second == self._body else -on_second)
-            points.append(np.array(contact.pos))
-            parts.append((owner, other))
-        self._refuse_moved(parts)
-        forces_n, moments_n_m = np.array(wrenches).reshape(-1, 2, 3).swapaxes(0, 1)
-        return np.array(points).reshape(-1, 3), forces_n, moments_n_m, parts
-
-
-def _bullet_shape(
-    data: tuple[Any, ...], hull: Callable[[], trimesh.Trimesh | None]
-) -> trimesh.Trimesh:
-    """One collision shape of PyBullet as a mesh in the link's inertial frame, metres.
-
-    ``hull`` gives that of a shape that is of no file.
-    """
-    import pybullet
-
-    kind, sizes, file = data[2], data[3], data[4]
-    shape: trimesh.Trimesh
-    if kind == pybullet.GEOM_SPHERE:
-        shape = trimesh.creation.icosphere(SPHERE_SUBDIVISIONS, sizes[0])
-    elif kind == pybullet.GEOM_BOX:
-        shape = trimesh.creation.box(sizes)
-    elif kind == pybullet.GEOM_CYLINDER:
-        shape = trimesh.creation.cylinder(sizes[1], sizes[0], sections=SECTIONS)
-    elif kind == pybullet.GEOM_CAPSULE:
-        shape = _capsule(sizes[1], sizes[0])
+    made: trimesh.Trimesh
+    if kind == "box":
+        made = trimesh.creation.box(size_m)
+    elif kind == "sphere":
+        made = trimesh.creation.icosphere(SPHERE_SUBDIVISIONS, *size_m)
+    elif kind == "cylinder":
+        radius_m, length_m = size_m
+        made = trimesh.creation.cylinder(radius_m, length_m, sections=SECTIONS)
     else:
-        try:
-            shape = trimesh.load_mesh(file.decode())
-        except (OSError, ValueError, TypeError, NotImplementedError):
-            if kind == pybullet.GEOM_MESH and (found := hull()) is not None:
-                return found
-            msg = f"PyBullet keeps no mesh file of body {data[0]}; give one: add_object(…, mesh=…)"
-            raise SensorError(msg) from None
-        shape.apply_scale(sizes)
-    shape.apply_transform(pose(rotation_of(data[6]), data[5]))
-    return shape
+        radius_mm, length_mm = (MM_PER_M * size for size in size_m)
+        # In metres trimesh drops small triangles.
+        count = [SECTIONS // 2, SECTIONS // 2]
+        made = trimesh.creation.capsule(length_mm, radius_mm, count=count)
+        made.apply_scale(1.0 / MM_PER_M)
+        made.apply_translation(-made.bounds.mean(axis=0))
+    return made
 
 
-def _capsule(radius_m: float, length_m: float) -> trimesh.Trimesh:
-    """A capsule about the origin, its cylinder ``length_m`` long along z."""
-    size_mm = MM_PER_M * length_m, MM_PER_M * radius_m  # in metres trimesh drops small triangles
-    shape = trimesh.creation.capsule(*size_mm, count=[SECTIONS // 2, SECTIONS // 2])
-    shape.apply_scale(1.0 / MM_PER_M)
-    shape.apply_translation(-shape.bounds.mean(axis=0))
-    return shape
-
-
-def _merged(shapes: list[trimesh.Trimesh], what: str) -> trimesh.Trimesh:
+def merged(shapes: list[trimesh.Trimesh], what: str) -> trimesh.Trimesh:
+    """All shapes of a part; raises ``SensorError`` if there are none."""
     if not shapes:
         msg = f"{what} has no shape that collides; give a mesh: add_object(…, mesh=…)"
         raise SensorError(msg)

@@ -289,7 +289,7 @@ class Sensor:
         ``pose_link_gel`` (4, 4), mm: gel frame to link frame; the default puts the gel's origin
         and axes on the link's.
         """
-        from tacgen.sensor.engines import PyBulletContacts
+        from tacgen.sensor.attach_pybullet import PyBulletContacts
 
         pose_m = _pose(pose_link_gel, "pose_link_gel")
         self._simulation = PyBulletContacts(self.description, body_id, link_id, pose_m, client_id)
@@ -300,7 +300,7 @@ class Sensor:
         self, model: Any, data: Any, body: int | str, *, pose_body_gel: FloatArray | None = None
     ) -> Sensor:
         """Attach to a body of a MuJoCo model; ``pose_body_gel`` (4, 4), mm: gel to body frame."""
-        from tacgen.sensor.engines import MujocoContacts
+        from tacgen.sensor.attach_mujoco import MujocoContacts
 
         pose_m = _pose(pose_body_gel, "pose_body_gel")
         self._simulation = MujocoContacts(self.description, model, data, body, pose_m)

@@ -20,7 +20,6 @@ from tacgen.optics.deform import Deformer
 from tacgen.optics.render import Renderer
 from tacgen.optics.smooth import Window
 from tacgen.optics.table import LookupTable
-from tacgen.physics.gripper import GripperSpec
 from tacgen.sensor.description import no_markers
 from tacgen.sensor.gel_response import GelLoad
 from tacgen.sensor.gel_shear import GelShear
@@ -300,15 +299,6 @@ class Indenter:
         return Imprint(
             *(delta * GAP_GRAIN_MM, saturated, window, depth_mm, area_mm2), first_touch_mm=first_mm
         )
-
-
-def mounted(sensor: Sensor, gripper: GripperSpec, pad: str) -> Sensor:
-    """The sensor on a gripper: its gel, if nothing else is said, is the pad."""
-    if sensor.gel_size_mm:
-        return sensor
-    size_mm = np.array([gripper.pad.depth_mm, gripper.pad.width_mm, gripper.pad.height_mm])
-    width_mm, height_mm, _ = np.abs(size_mm @ gripper.side(pad).gel_axes).tolist()
-    return replace(sensor, gel_size_mm=(width_mm, height_mm))
 
 
 SAME_SCALE = 0.01  # relative difference of mm/px between a table and its sensor: 2 % of an area

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 import tacgen
-from tacgen.collection.cameras import cameras_of, scene_solids
 from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe, load_recipe
 from tacgen.collection.run import collect
-from tacgen.collection.scene import pose_matrix
+from tacgen.collection.scene import cameras_of, pose_matrix, scene_solids
 from tacgen.core.errors import DatasetError, RecipeError
 from tacgen.core.records import PADS
 from tacgen.dataset import Dataset

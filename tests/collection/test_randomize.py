@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tacgen.collection.randomize import Variation, draw_variation
+from tacgen.collection.perturbed import Variation, draw_variation
 from tacgen.collection.recipe import Randomize
 
 

@@ -80,5 +80,5 @@ def test_every_array_of_a_shard_is_an_entry_and_the_other_way_round(toy):
 
     layout = Dataset(toy.root).layout
     with h5py.File(toy.shard_path(0)) as file:
-        assert set(paths(file)) == {path for _, _, path in layout.placed()}
-    assert "/tactile/gelsight/depth_mm" not in {path for _, _, path in layout.placed()}
+        assert set(paths(file)) == {one.path for one in layout.placed()}
+    assert "/tactile/gelsight/depth_mm" not in {one.path for one in layout.placed()}

@@ -14,15 +14,14 @@ from tacgen.dataset.compression import (
     storage_of,
     write_images,
 )
-from tacgen.dataset.schema import ArraySpec
-
-NOISY = ArraySpec("/x", "uint8", (), "", "", "", image=True, noisy=True)
 
 
 def read_back(rgb: np.ndarray) -> np.ndarray:
     """An image through an HDF5 file in memory, decoded by hdf5plugin's Blosc2."""
     with h5py.File("memory", "w", driver="core", backing_store=False) as file:
-        array = file.create_dataset("x", rgb.shape, "u1", chunks=rgb.shape, **storage_of(NOISY))
+        array = file.create_dataset(
+            "x", rgb.shape, "u1", chunks=rgb.shape, **storage_of(noisy=True)
+        )
         array.id.write_direct_chunk((0, 0, 0), encode_image(rgb))
         return array[()]
 
@@ -36,7 +35,7 @@ def test_images_that_equal_the_one_before_or_nearly_do_are_read_as_they_were():
     with h5py.File("memory", "w", driver="core", backing_store=False) as file:
         shape = (2, *frames.shape)
         array = file.create_dataset(
-            "x", shape, "u1", chunks=(1, 1, *still.shape), **storage_of(NOISY)
+            "x", shape, "u1", chunks=(1, 1, *still.shape), **storage_of(noisy=True)
         )
         write_images(array, 0, frames)
         write_images(array, 1, frames[::-1])

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from tacgen.collection.recipe import load_recipe
 from tacgen.collection.run import collect
-from tacgen.envs.regrasp import Costs
+from tacgen.envs.regrasp import Play
 from tacgen.learning.train import train
 from tacgen.learning.training_recipe import TrainRecipe
 from tests.small_world import write_world
@@ -27,7 +27,7 @@ NETWORK = {
     },
     "training": {"epochs": 1, "batch_size": 2},
 }
-FEW = {"costs": Costs(), "regrasps": 2, "episodes": 3, "worlds": 3}
+FEW = Play(regrasps=2, episodes=3, worlds=3)
 
 
 def regrasp_world(folder: Path) -> Path:

@@ -17,7 +17,7 @@ from tacgen.envs.regrasp import (
     RESULT,
     WORLDS,
     Costs,
-    _checked_pad,
+    Question,
     by_touch,
     regrasp,
     simulate,
@@ -34,7 +34,7 @@ def world(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def result(world):
-    return regrasp(world / "run", load_recipe(world / "small.yaml"), world / "out", **FEW)
+    return regrasp(world / "run", load_recipe(world / "small.yaml"), world / "out", FEW)
 
 
 pytestmark = pytest.mark.slow
@@ -43,9 +43,8 @@ pytestmark = pytest.mark.slow
 def simulated_of(world: Path):
     """From the finished worlds of ``result``."""
     recipe = load_recipe(world / "small.yaml")
-    return simulate(
-        world / "run", recipe, world / "out", 3, 3, recipe.seed, 1, lambda done, total: None
-    )
+    asked = Question.checked(world / "run", recipe)
+    return recipe, simulate(asked, world / "out", FEW)["sugar_box"]
 
 
 def test_every_episode_ends_in_a_lift_that_is_counted(result):
@@ -62,14 +61,12 @@ def test_every_episode_ends_in_a_lift_that_is_counted(result):
 
 
 def test_the_outcomes_are_those_of_the_pipeline(result, world):
-    simulated = simulated_of(world)
-    episode = simulated.worlds_of(0, is_episode=True)[0]
-    with GraspPipeline(simulated.recipe) as pipeline:
-        for planned, holds in zip(
-            simulated.grasps["sugar_box"], simulated.holds(episode), strict=True
-        ):
+    recipe, simulated = simulated_of(world)
+    tried = simulated.episodes
+    with GraspPipeline(recipe) as pipeline:
+        for planned, holds in zip(simulated.grasps, tried.holds[0], strict=True):
             assert holds == (
-                pipeline.simulate(replace(planned, seed=episode.seed)).trace.label == 1
+                pipeline.simulate(replace(planned, seed=tried.seeds[0])).trace.label == 1
             )
     assert 5 < result["test_lift_mm"] < 8  # 0.34 s at 120 mm/s² are 6.9 mm
 
@@ -81,7 +78,7 @@ def test_it_goes_on_where_it_was_and_gives_the_same(result, world, tmp_path):
     (out / WORLDS).write_text("".join(lines[:2]) + lines[2][: len(lines[2]) // 2])
     (out / RESULT).unlink()
     recipe = load_recipe(world / "small.yaml")
-    again = regrasp(world / "run", recipe, out, workers=2, **FEW)
+    again = regrasp(world / "run", recipe, out, FEW, workers=2)
     assert again == result
     assert json.loads((out / RESULT).read_text()) == again
 
@@ -121,7 +118,7 @@ def changed(world: Path, **sections: str):
 def test_a_run_of_other_images_or_objects_is_refused(world, tmp_path, section, text, says):
     recipe = changed(tmp_path, **{section: text})
     with pytest.raises(LearningError, match=says):
-        regrasp(world / "run", recipe, tmp_path / "out", **FEW)
+        regrasp(world / "run", recipe, tmp_path / "out", FEW)
     assert not (tmp_path / "out").exists()
 
 
@@ -132,10 +129,10 @@ def test_a_run_that_sees_a_camera_is_refused(world, tmp_path):
     plan["recipe"]["input"]["channels"] = ["image", "vision"]
     path.write_text(json.dumps(plan))
     with pytest.raises(LearningError, match="sees a camera.*without the channel vision"):
-        _checked_pad(tmp_path / "run", load_recipe(world / "small.yaml"))
+        Question.checked(tmp_path / "run", load_recipe(world / "small.yaml"))
 
 
 def test_what_is_no_run_is_refused(world, tmp_path):
     recipe = load_recipe(world / "small.yaml")
     with pytest.raises(LearningError, match="tacgen train"):
-        regrasp(world / "data", recipe, tmp_path / "out", **FEW)
+        regrasp(world / "data", recipe, tmp_path / "out", FEW)

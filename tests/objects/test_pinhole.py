@@ -6,7 +6,7 @@ import trimesh
 
 from tacgen.core.records import Camera, Mesh
 from tacgen.objects.meshes import is_inside
-from tacgen.objects.pinhole import DEPTH_STEP_MM, Solid, pinhole_view
+from tacgen.objects.pinhole import DEPTH_STEP_MM, Solid, camera_around, pinhole_view
 
 H, W, FOCAL_PX = 96, 128, 150.0
 K = np.array([[FOCAL_PX, 0, (W - 1) / 2], [0, FOCAL_PX, (H - 1) / 2], [0, 0, 1]])
@@ -119,3 +119,16 @@ def test_inside_and_outside_of_a_closed_mesh():
     assert is_inside(ball, np.array([5.0, -5.0, 5.0]))
     assert not is_inside(ball, np.array([0.0, 0.0, 10.5]))
     assert not is_inside(ball, np.array([400.0, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize(("azimuth_deg", "elevation_deg"), [(-58.0, 22.0), (0.0, 89.9)])
+def test_a_camera_around_things_is_filled_by_their_box(azimuth_deg, elevation_deg):
+    """The box takes 92 % of the side that it fills, and its middle is that of the picture."""
+    box = slab((40, 90, 20), (5, -3, 60))
+    found = camera_around(box.vertices_mm, (150, 200), azimuth_deg, elevation_deg)
+    ids = pinhole_view(found, [box])[2]
+    rows, columns = (np.flatnonzero(ids.any(axis=axis)) for axis in (1, 0))
+    shares = np.array([np.ptp(rows) + 1, np.ptp(columns) + 1]) / (150, 200)
+    assert shares.max() == pytest.approx(0.92, abs=0.01)
+    middle_px = [(one[0] + one[-1]) / 2 for one in (rows, columns)]
+    assert middle_px == pytest.approx([74.5, 99.5], abs=1.0)

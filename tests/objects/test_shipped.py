@@ -10,7 +10,7 @@ import trimesh
 from scipy.spatial import ConvexHull
 
 from tacgen.core.resources import packaged
-from tacgen.core.types import STANDARD_GRAVITY_M_S2
+from tacgen.core.types import STANDARD_GRAVITY_M_S2, rotation_of, turn_rad
 from tacgen.objects import load_object
 from tacgen.objects.cutting import MAX_PART_VERTICES
 from tacgen.objects.description import read_description
@@ -18,7 +18,6 @@ from tacgen.objects.meshes import volume_mm3
 from tacgen.objects.shading import depth_view, view_axes
 from tacgen.physics import GraspSimulator, PhysicsSettings
 from tacgen.physics.engine import GripperTarget
-from tacgen.physics.frames import rotation_of, turn_rad
 from tacgen.physics.margins import dome_patch, torsion_arm_mm
 
 STROKE_MM = 110.0  # WSG-50, datasheet

@@ -20,8 +20,8 @@ from tacgen.core.resources import packaged
 from tacgen.core.types import MM_PER_M
 from tacgen.objects import load_object
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings
-from tacgen.physics.bodies import ObjectBody
 from tacgen.physics.margins import torsion_factor
+from tacgen.physics.world import ObjectBody
 
 from .conftest import GRAVITY_M_S2, block, grasp, solid, threshold
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tacgen.physics import GraspSimulator, PhysicsSettings, frames, ur5e
+from tacgen.core import types as frames
+from tacgen.physics import GraspSimulator, PhysicsSettings, ur5e
 from tacgen.physics.engine import GripperTarget
 from tacgen.physics.grasp import trapezoid
 from tacgen.physics.gripper import default_gripper

@@ -12,17 +12,15 @@ import trimesh
 
 from tacgen.core.errors import PhysicsError
 from tacgen.core.records import PADS, Mesh
-from tacgen.core.types import FloatArray
+from tacgen.core.types import FloatArray, inverse, pose, rotation_of
 from tacgen.physics import GraspSimulator, PhysicsSettings
-from tacgen.physics.bodies import principal_axes
 from tacgen.physics.contacts import Contacts, contacts_of
 from tacgen.physics.engine import TABLE, GripperTarget
-from tacgen.physics.frames import inverse, pose, rotation_of
 from tacgen.physics.gripper import outline_of
 from tacgen.physics.margins import TorsionLimit, grasp_capacity, slip_margin, torsion_factor
 from tacgen.physics.outcome import Motion, failure_mode, first_slip, label_of
 from tacgen.physics.pybullet_import import require_numpy
-from tacgen.physics.world import ball_of
+from tacgen.physics.world import ball_of, principal_axes
 
 from .conftest import GRAVITY_M_S2, block
 

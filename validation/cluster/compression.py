@@ -18,7 +18,6 @@ import numpy as np
 
 from tacgen.dataset import Dataset
 from tacgen.dataset.compression import encode_image, storage_of
-from tacgen.dataset.schema import ArraySpec
 
 MAX_IMAGES = 100
 ROUNDS = 3
@@ -31,11 +30,10 @@ def compression_of(root: Path) -> dict[str, float]:
     every = (rgb for grasp in samples for pad in grasp.pads.values() for rgb in pad.rgb)
     images = list(itertools.islice(every, MAX_IMAGES))
     chunks = [encode_image(rgb) for rgb in images]
-    spec = ArraySpec("/rgb", "uint8", (), "", "", "", image=True, noisy=True)
     shape = images[0].shape
     with h5py.File("memory", "w", driver="core", backing_store=False) as file:
         array = file.create_dataset(
-            "rgb", (len(images), *shape), "u1", chunks=(1, *shape), **storage_of(spec)
+            "rgb", (len(images), *shape), "u1", chunks=(1, *shape), **storage_of(noisy=True)
         )
         for row, chunk in enumerate(chunks):
             array.id.write_direct_chunk((row, 0, 0, 0), chunk)

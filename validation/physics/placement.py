@@ -16,11 +16,10 @@ from tacgen.collection.gel import SETTLED_PRESS, gel_patch
 from tacgen.contact.law import ContactLaw
 from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, Mesh, frozen_array
 from tacgen.core.resources import object_folders
-from tacgen.core.types import FloatArray
+from tacgen.core.types import FloatArray, rotation_about_z
 from tacgen.objects import load_object
 from tacgen.optics import load_table
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
-from tacgen.physics.frames import rotation_about_z
 from tacgen.sensor.description import load_sensor
 from tacgen.sensor.gel_response import gel_loads, rounded_pose_and_load
 from tacgen.sensor.tactile_pad import TactilePad

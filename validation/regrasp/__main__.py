@@ -10,8 +10,7 @@ import argparse
 from pathlib import Path
 
 from tacgen.collection.recipe import load_recipe
-from tacgen.core.progress import progress_counter
-from tacgen.envs.regrasp import Costs
+from tacgen.envs.regrasp import Costs, Play
 from validation.regrasp.page import study_lines, write_study_page
 from validation.regrasp.study import PAGE, study
 
@@ -29,11 +28,9 @@ def main() -> None:
     parser.add_argument("--regrasp-cost", type=float, default=0.1)
     given = parser.parse_args()
     costs = Costs(given.drop_cost, given.regrasp_cost)
-    options = {name: getattr(given, name) for name in counts}
-    with progress_counter("world") as show:
-        result, played = study(
-            given.run, load_recipe(given.recipe), given.out, costs=costs, show=show, **options
-        )
+    play = Play(costs, given.regrasps, given.episodes, given.worlds, given.seed)
+    recipe = load_recipe(given.recipe)
+    result, played = study(given.run, recipe, given.out, play, workers=given.workers)
     write_study_page(given.out / PAGE, result, played)
     print("\n".join(study_lines(result)))  # noqa: T201
 

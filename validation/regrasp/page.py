@@ -183,18 +183,16 @@ def _film(played: Played, allowed: int) -> list[PageSection]:
     chosen = shown_episodes(played.episodes["touch", allowed])
     if not chosen:
         return []
-    sections, simulated = [], played.simulated
-    with GraspPipeline(simulated.recipe) as pipeline:
-        pad = tactile_pad(simulated.recipe)
+    sections, asked = [], played.asked
+    with GraspPipeline(asked.recipe) as pipeline:
+        pad = tactile_pad(asked.recipe)
         rest_px = overlays.to_pixels(pad.marker_rest_mm, pad.sensor.mm_per_px, pad.sensor.shape_px)
         for episode in chosen:
-            grasps = simulated.grasps[episode.object]
+            grasps = played.simulated[episode.object].grasps
             items = []
             for number, step in enumerate(episode.steps, 1):
                 planned = grasps[step.grasp]
-                look = look_at(
-                    pipeline, planned, episode.seed, step.grasp, simulated.spec, simulated.pad
-                )
+                look = look_at(pipeline, planned, episode.seed, step.grasp, asked.spec, asked.pad)
                 last = number == len(episode.steps)
                 done = f"lifted: {OUTCOMES[episode.outcome]}" if last else "regrasp"
                 config = planned.config
@@ -202,10 +200,10 @@ def _film(played: Played, allowed: int) -> list[PageSection]:
                     f"y {config.y_mm:g} mm, z {config.z_mm:g} mm, yaw "
                     f"{np.degrees(config.yaw_rad):.0f}°"
                 )
-                asked = f"asked {percent(max(step.threshold, 0.0), 0)}"
-                asked = "the last" if number > allowed else asked
+                wanted = f"asked {percent(max(step.threshold, 0.0), 0)}"
+                wanted = "the last" if number > allowed else wanted
                 caption = (
-                    f"grasp {number}: {place}; success {percent(step.probability, 0)}, {asked} → "
+                    f"grasp {number}: {place}; success {percent(step.probability, 0)}, {wanted} → "
                     f"{done}"
                 )
                 items.append((caption, _drawn(look, rest_px, pad.sensor.mm_per_px)))

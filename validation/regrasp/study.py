@@ -1,7 +1,7 @@
 """What touch adds to regrasping: the network's policy and its controls on the same episodes."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,17 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.collection.grid import rng_of
 from tacgen.collection.recipe import Recipe
 from tacgen.core.errors import LearningError
 from tacgen.core.files import write_text
+from tacgen.core.records import rng_of
 from tacgen.envs.regrasp import (
-    Costs,
-    Simulated,
+    DROPS,
+    ObjectGrasps,
+    Play,
+    Question,
     Step,
     about,
     failures,
-    first_grasp,
     simulate,
 )
 from validation.regrasp.policies import (
@@ -38,7 +39,7 @@ STUDY, PAGE = "study.json", "index.html"
 class Episode:
     """One episode by one policy: its object, the world's seed, and the grasps; the last is lifted.
 
-    ``outcome`` as of ``Tried``.
+    ``outcome`` is as of ``Tried``.
     """
 
     object: str
@@ -56,24 +57,15 @@ class Episode:
 class Played:
     """All that was played: ``episodes`` by policy and number of regrasps allowed."""
 
-    simulated: Simulated
+    asked: Question
+    simulated: Mapping[str, ObjectGrasps]
     episodes: Mapping[tuple[PolicyName, int], tuple[Episode, ...]]
 
 
 def study(
-    run: Path,
-    recipe: Recipe,
-    out: Path,
-    *,
-    costs: Costs,
-    regrasps: int = 3,
-    episodes: int = 40,
-    worlds: int = 32,
-    seed: int | None = None,
-    workers: int = 1,
-    show: Callable[[int, int], None] = lambda done, total: None,
+    run: Path, recipe: Recipe, out: Path, play: Play, *, workers: int = 1
 ) -> tuple[dict[str, Any], Played]:
-    """Play ``episodes`` of each object by every policy, and write ``out/study.json``.
+    """Play episodes of each object by every policy, and write ``out/study.json``.
 
     As ``tacgen.envs.regrasp.regrasp``, whose finished worlds it uses; but ``policies`` has, by
     name, a list over the regrasps allowed of ``success``, ``share_of_gain`` (of the oracle's over
@@ -82,15 +74,13 @@ def study(
     ``not_executed``; ``by_object`` the success of each policy; ``network`` its accuracy on the
     looks of the episodes (grasps that were executed), with the share of them that holds.
     """
-    seed = recipe.seed if seed is None else seed
-    simulated = simulate(run, recipe, out, episodes, worlds, seed, workers, show)
-    played = Played(simulated, _play_all(simulated, costs, regrasps))
+    asked = Question.checked(run, recipe)
+    simulated = simulate(asked, out, play, workers=workers)
+    played = Played(asked, simulated, _play_all(simulated, play))
+    stated = about(asked, play, simulated)
     result = {
-        **about(simulated, run, seed, costs),
-        "regrasps": regrasps,
-        "episodes": episodes,
-        "worlds": worlds,
-        **_scores(played, regrasps, seed),
+        **stated,
+        **_scores(played, play.regrasps, stated["seed"]),
         "network": _network_scores(simulated),
     }
     write_text(out / STUDY, json.dumps(result, indent=1))
@@ -98,20 +88,19 @@ def study(
 
 
 def _play_all(
-    simulated: Simulated, costs: Costs, regrasps: int
+    simulated: Mapping[str, ObjectGrasps], how: Play
 ) -> dict[tuple[PolicyName, int], tuple[Episode, ...]]:
     found: dict[tuple[PolicyName, int], list[Episode]] = {}
-    for k, entry in enumerate(simulated.recipe.objects):
-        belief = simulated.belief(k)
-        for world in simulated.worlds_of(k, is_episode=True):
-            look, holds = simulated.look(world), simulated.holds(world)
-            first = first_grasp(world, len(look))
+    for name, own in simulated.items():
+        belief, tried = own.belief, own.episodes
+        for world, seed in enumerate(tried.seeds):
+            look, holds, first = tried.look[world], tried.holds[world], tried.first_grasp(world)
             for policy in POLICIES:
-                for allowed in range(regrasps + 1):
-                    rng = rng_of(world.seed, 3)
-                    steps = play(policy, first, look, holds, belief, costs, allowed, rng)
-                    outcome = simulated.tried[world][steps[-1].grasp].outcome
-                    episode = Episode(entry.object_name, world.seed, tuple(steps), outcome)
+                for allowed in range(how.regrasps + 1):
+                    rng = rng_of(seed, 3)
+                    steps = play(policy, first, look, holds, belief, how.costs, allowed, rng)
+                    outcome = str(tried.outcome[world, steps[-1].grasp])
+                    episode = Episode(name, seed, tuple(steps), outcome)
                     found.setdefault((policy, allowed), []).append(episode)
     return {key: tuple(listed) for key, listed in found.items()}
 
@@ -152,12 +141,12 @@ def _scores(played: Played, regrasps: int, seed: int) -> dict[str, Any]:
     return {"policies": policies, "by_object": by_object}
 
 
-def _network_scores(simulated: Simulated) -> dict[str, float]:
-    tried = simulated.tried.items()
-    rows = [one for world, row in tried if world.is_episode for one in row if one.was_seen]
-    if not rows:
+def _network_scores(simulated: Mapping[str, ObjectGrasps]) -> dict[str, float]:
+    look = np.concatenate([own.episodes.look.ravel() for own in simulated.values()])
+    outcome = np.concatenate([own.episodes.outcome.ravel() for own in simulated.values()])
+    seen = np.isin(outcome, ("held", *DROPS))  # grasps that were executed
+    if not seen.any():
         msg = "no grasp of the episodes could be executed; `tacgen collect` says why"
         raise LearningError(msg)
-    holds = np.array([one.outcome == "held" for one in rows])
-    sure = np.array([one.probability >= 0.5 for one in rows])
+    holds, sure = outcome[seen] == "held", look[seen] >= 0.5
     return {"accuracy": float((sure == holds).mean()), "holds": float(holds.mean())}

@@ -2,13 +2,14 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("torch")
 
 from tacgen.collection.recipe import load_recipe
 from tacgen.core.errors import LearningError
-from tacgen.envs.regrasp import Drawn, Simulated, Tried, regrasp
+from tacgen.envs.regrasp import ObjectGrasps, Tried, regrasp
 from tests.envs.regrasp_world import FEW, regrasp_world
 from validation.regrasp.__main__ import main
 from validation.regrasp.page import shown_episodes, write_study_page
@@ -25,7 +26,7 @@ def world(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def result(world):
-    return study(world / "run", load_recipe(world / "small.yaml"), world / "out", **FEW)
+    return study(world / "run", load_recipe(world / "small.yaml"), world / "out", FEW)
 
 
 def test_every_policy_is_played_on_the_same_episodes(result):
@@ -49,7 +50,7 @@ def test_every_episode_ends_in_a_lift_that_is_counted(result):
 
 def test_by_touch_is_what_the_command_plays(result, world):
     """On the worlds that the study has simulated."""
-    played = regrasp(world / "run", load_recipe(world / "small.yaml"), world / "out", **FEW)
+    played = regrasp(world / "run", load_recipe(world / "small.yaml"), world / "out", FEW)
     of_study = result[0]["policies"]["touch"]
     assert [one["success"] for one in played["by_touch"]] == [
         one["success"]["value"] for one in of_study
@@ -79,15 +80,15 @@ def test_the_page_shows_three_episodes(result, tmp_path):
 
 def test_the_networks_accuracy_is_that_of_what_it_saw():
     """Two of three looks are right; grasps that show nothing would have made it 5 of 6."""
-    listed = [Tried(0.9, "held"), Tried(0.2, "rotational_slip"), Tried(0.7, "translational_slip")]
-    listed += [Tried(0.0, status) for status in ("no_contact", "unreachable", "crashed")]
-    worlds = {Drawn(0, 1, True): listed, Drawn(0, 2, False): [Tried(0.1, "held")] * 6}
-    scores = _network_scores(simulated(worlds))
+    seen = [(0.9, "held"), (0.2, "rotational_slip"), (0.7, "translational_slip")]
+    unseen = [(0.0, status) for status in ("no_contact", "unreachable", "crashed")]
+    other = tried([(0.1, "held")] * 6)
+    scores = _network_scores({"can": ObjectGrasps((), tried(seen + unseen), other)})
     assert scores == {"accuracy": pytest.approx(2 / 3), "holds": pytest.approx(1 / 3)}
-    nothing = {Drawn(0, 1, True): listed[3:]}
     with pytest.raises(LearningError, match="no grasp of the episodes could be executed"):
-        _network_scores(simulated(nothing))
+        _network_scores({"can": ObjectGrasps((), tried(unseen), other)})
 
 
-def simulated(worlds: dict[Drawn, list[Tried]]) -> Simulated:
-    return Simulated(None, None, "left", {}, worlds)
+def tried(row: list[tuple[float, str]]) -> Tried:
+    look, outcome = zip(*row, strict=True)
+    return Tried((1,), np.array([look]), np.array([outcome]), np.zeros((1, len(row))))

@@ -7,9 +7,14 @@ from typing import Any
 import numpy as np
 
 from tacgen.core.records import PADS, GraspObject, Mesh
-from tacgen.core.types import M_PER_MM, STANDARD_GRAVITY_M_S2, FloatArray
+from tacgen.core.types import (
+    M_PER_MM,
+    STANDARD_GRAVITY_M_S2,
+    FloatArray,
+    Pose,
+    quaternion_from_rotation,
+)
 from tacgen.physics.engine import PALM, TABLE, Link, Vector
-from tacgen.physics.frames import Pose, quaternion_from_rotation
 from tacgen.physics.gripper import PAD_MARGIN_MM, GripperSpec, outline_of, touches_as_sphere
 from tacgen.physics.robots import RobotSpec
 from tacgen.physics.settings import PhysicsSettings

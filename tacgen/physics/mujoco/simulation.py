@@ -8,11 +8,17 @@ import numpy as np
 
 from tacgen.core.errors import PhysicsError
 from tacgen.core.records import PADS, GraspObject, Mesh
-from tacgen.core.types import M_PER_MM, STANDARD_GRAVITY_M_S2, FloatArray, IntArray
+from tacgen.core.types import (
+    M_PER_MM,
+    STANDARD_GRAVITY_M_S2,
+    FloatArray,
+    IntArray,
+    pose,
+    quaternion_from_rotation,
+    rotation_of,
+)
 from tacgen.physics import engine
-from tacgen.physics.bodies import principal_axes
 from tacgen.physics.engine import TABLE, ContactPoint, Place, Touch, Vector
-from tacgen.physics.frames import pose, quaternion_from_rotation, rotation_of
 from tacgen.physics.gripper import outline_of
 from tacgen.physics.margins import torsion_factor
 from tacgen.physics.mujoco.model import (
@@ -27,6 +33,7 @@ from tacgen.physics.mujoco.model import (
 )
 from tacgen.physics.robots import RobotSpec
 from tacgen.physics.settings import PhysicsSettings
+from tacgen.physics.world import principal_axes
 
 LARGEST_STIFFNESS_N_M = 1e6  # of a pad
 SLIP_DAMPING_1_S = 100.0
