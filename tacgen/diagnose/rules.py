@@ -69,7 +69,7 @@ class ContactRules(SearchRules):
 
     # What remains
     form_share_left: float = 0.06  # of what is explained, that inexact formulas may leave
-    clearly_more: float = 2.0  # times the noise floor, of the error on held-out trials: more is no
+    clearly_more: float = 2.0  # times the noise floor, of what the extended law leaves: more is no
     # noise, whether a column explains it or not
     exact_share: float = 0.01  # of what is measured: a smaller error is no fault of a law
     share_of_presses: float = 0.3  # of such a residual's squares, that a gain and a zero of each

@@ -224,7 +224,8 @@ class _Channel:
         floor = noise_floor(left, samples.history.starts)
         found = _unexplained(attribution, data, base, final, after_structure)
         least = max(rules.clearly_more * floor, rules.exact_share * self._rms)
-        if not found and after.rmse > least:
+        rest = float(np.sqrt((left[samples.weight > 0] ** 2).mean()))
+        if not found and rest > least:
             share = of_each_press(data, final)
             name = EACH_PRESS if share > rules.share_of_presses else COURSE
             found = (Dependence(name, float("nan"), share if name == EACH_PRESS else 1.0 - share),)
