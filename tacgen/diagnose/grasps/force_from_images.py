@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from tacgen.collection.grid import PlannedGrasp
 from tacgen.collection.pipeline import GraspPipeline, tactile_pad
-from tacgen.collection.recipe import Randomize, Recipe, Scene
+from tacgen.collection.recipe import Randomize, Recipe
+from tacgen.collection.scene_section import Scene
 from tacgen.core.errors import TacgenError
 from tacgen.core.safe_io import read_rgb
 from tacgen.core.types import FloatArray
