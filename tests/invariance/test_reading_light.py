@@ -60,6 +60,7 @@ def test_a_picture_and_its_background_in_another_light_are_the_same_force(taken,
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("taken", SENSORS[:1], indirect=True)
 def test_a_light_out_of_range_is_stated(taken):
     sensor, rest, press = taken
     reader = ImageReader(sensor, in_light(rest, 0.5))
@@ -71,7 +72,9 @@ def test_a_light_out_of_range_is_stated(taken):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise_grey", [0.0, 3.0])
+@pytest.mark.parametrize(
+    ("taken", "noise_grey"), [(SENSORS[0], 0.0), (SENSORS[-1], 3.0)], indirect=["taken"]
+)
 def test_a_background_is_no_contact_with_itself(taken, noise_grey):
     sensor, rest, _ = taken
     rng = np.random.default_rng(0)
@@ -83,7 +86,11 @@ def test_a_background_is_no_contact_with_itself(taken, noise_grey):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("shape", "force_n"), [("ball", 0.5), ("box", 4.0)])
+@pytest.mark.parametrize(
+    ("taken", "shape", "force_n"),
+    [(SENSORS[0], "ball", 0.5), (SENSORS[-1], "box", 4.0)],
+    indirect=["taken"],
+)
 def test_a_press_as_background_is_stated(taken, shape, force_n):
     sensor, rest, press = taken
     mesh = BALL if shape == "ball" else trimesh.creation.box([6, 4, 4])
@@ -99,6 +106,7 @@ def test_a_press_as_background_is_stated(taken, shape, force_n):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("taken", SENSORS[:1], indirect=True)
 def test_a_grey_picture_is_refused(taken):
     sensor, rest, press = taken
     grey = np.repeat(press.mean(axis=2, keepdims=True), 3, axis=2).astype(np.uint8)

@@ -154,6 +154,7 @@ def test_grasps_of_another_dataset_that_were_trained_on_are_left_out(run, toy, t
     assert "are not used: a simulated grasp of the same object" in " ".join(result["notes"])
 
 
+@pytest.mark.exhaustive
 def test_training_grasps_are_known_as_real_ones_and_under_another_recipe(run, toy, tmp_path):
     """A line of description changes the recipe's hash, and no grasp."""
     again = collect(tmp_path / "data", make_spec(recipe_sha256="ef" * 32))
@@ -309,8 +310,16 @@ def test_scores_by_value_lose_no_grasp_where_values_differ_by_less_than_their_te
     ("name", "changes"),
     [
         ("sensor", {"inputs": Inputs({"sensor": "another", "table": "one"})}),
-        ("table", {"inputs": Inputs({"sensor": "one", "table": "another"})}),
-        ("markers", {"recipe": {"optics": {"markers": True}, "objects": ["can", "cup"]}}),
+        pytest.param(
+            "table",
+            {"inputs": Inputs({"sensor": "one", "table": "another"})},
+            marks=pytest.mark.exhaustive,
+        ),
+        pytest.param(
+            "markers",
+            {"recipe": {"optics": {"markers": True}, "objects": ["can", "cup"]}},
+            marks=pytest.mark.exhaustive,
+        ),
         ("pad", {"pads": ("right",)}),
     ],
 )
