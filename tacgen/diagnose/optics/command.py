@@ -4,7 +4,7 @@ from pathlib import Path
 
 from tacgen.core.files import refuse_other_page
 from tacgen.diagnose.optics.diagnose import OpticsDiagnosis, diagnose_optics
-from tacgen.diagnose.optics.pictures import press_pictures
+from tacgen.diagnose.optics.pictures import mean_residuals, press_pictures
 from tacgen.diagnose.optics.report import write_optics_page
 from tacgen.diagnose.record import write_record
 from tacgen.optics.table import load_table, save_table
@@ -37,6 +37,7 @@ def diagnose_presses(
         out / "report.html",
         record["channels"]["rgb"],
         press_pictures(presses, diagnosis),
+        mean_residuals(diagnosis),
         applied=sorted(diagnosis.table.effects),
         excluded=[str(press) for press in presses.dropped],
     )

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tacgen.diagnose.optics.pictures import DIFFERENCE_GAIN
+from tacgen.diagnose.optics.pictures import DIFFERENCE_GAIN, MEAN_GAIN
 from tacgen.report import figures as plots
 from tacgen.report.page import write_page
 
@@ -17,14 +17,16 @@ def write_optics_page(
     path: Path,
     channel: Mapping[str, Any],
     pictures: Sequence[tuple[str, NDArray[np.uint8]]],
+    mean_residuals: NDArray[np.uint8],
     *,
     applied: Sequence[str],
     excluded: Sequence[str],
 ) -> None:
     """Write the page of the channel ``rgb`` of ``diagnosis.json``.
 
-    ``pictures`` are strips of test presses, ``applied`` the effects that the written table makes
-    the renderer apply, ``excluded`` the presses that could not be used and why.
+    ``pictures`` are strips of test presses, ``mean_residuals`` one of all presses, ``applied`` the
+    effects that the written table makes the renderer apply, ``excluded`` the presses that could not
+    be used and why.
     """
     before, after = channel["error_before"], channel["error_after"]
     floor = channel["noise_floor"]["rmse"]
@@ -44,6 +46,8 @@ def write_optics_page(
         errors=plots.before_after(bars, "RMSE on held-out presses, grey levels"),
         pictures_of_presses=pictures,
         difference_gain=DIFFERENCE_GAIN,
+        mean_residual=[("table and table with the effects", mean_residuals)],
+        mean_gain=MEAN_GAIN,
         ranking=_ranking_figure(channel["steps"]),
         applied=applied,
         excluded=excluded,
