@@ -88,7 +88,17 @@ def calibrate_lookup(
         own = common.session_sensor(presses) or shipped_sensor(made.table.shape_px)
         sensor, image = quoted(own or "my_sensor.yaml"), quoted(presses / used.names[0])
         lines.append(f"tacgen read {image} --sensor {sensor} --table {quoted(out)} --out readings")
+    if command.leaves_more_than_noise(made):
+        lines.append(_diagnose_optics(presses, mm_per_px, ball_radius_mm))
     common.hand_over(*lines)
+
+
+def _diagnose_optics(
+    presses: Path, mm_per_px: float | None, ball_radius_mm: float | None, table: str = ""
+) -> str:
+    given = {"--mm-per-px": mm_per_px, "--ball-radius-mm": ball_radius_mm}
+    options = "".join(f" {name} {value:g}" for name, value in given.items() if value is not None)
+    return f"tacgen diagnose optics {quoted(presses)}{table}{options} --out optics"
 
 
 @common.calibrate_app.command("score")
@@ -107,11 +117,8 @@ def calibrate_score(
     )
     common.warn([*command.warning_lines(used), *command.contrast_warning(score)])
     common.print_result(score.as_dict(), command.score_text(score), json_output)
-    given = {"--mm-per-px": mm_per_px, "--ball-radius-mm": ball_radius_mm}
-    options = "".join(f" {name} {value:g}" for name, value in given.items() if value is not None)
-    common.hand_over(
-        f"tacgen diagnose optics {quoted(presses)} --table {quoted(table)}{options} --out optics"
-    )
+    with_table = f" --table {quoted(table)}"
+    common.hand_over(_diagnose_optics(presses, mm_per_px, ball_radius_mm, with_table))
 
 
 @common.calibrate_app.command("import")

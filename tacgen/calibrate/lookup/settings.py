@@ -64,6 +64,8 @@ class LookupRules:
     # people circle the dark rim around the contact; or at the circle that is seen if it is smaller
     noise_grey: float = 6.0  # standard deviation of a pixel's residual
     correlated_pixels: float = 20.0  # that count as one: JPEG blocks and texture go together
+    structure_grey: float = 1.0  # of held-out error above the camera's noise: worth a diagnosis,
+    # which calls as much unexplained
     drift_noise_grey: float = 0.5  # to which bare gel tells the drift of a whole picture
     center_scatter_radii: float = 0.15  # standard deviation of a label's centre
     radius_scatter_radii: float = 0.10  # and of its radius

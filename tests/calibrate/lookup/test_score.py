@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from tacgen.calibrate.lookup.command import contrast_warning, score_text
+from tacgen.calibrate.lookup.command import (
+    contrast_warning,
+    leaves_more_than_noise,
+    score_text,
+)
 from tacgen.calibrate.lookup.score import psnr_db, score_table, structural_similarity
 from tacgen.calibrate.lookup.table_fit import fit_lookup
 from tests.virtual_presses import virtual_presses
@@ -54,3 +59,14 @@ def test_imprints_of_half_the_contrast_call_for_a_calibration():
     found = score_table(table, replace(presses, images=faint))
     assert found.as_dict()["contrast"] == pytest.approx(0.5, abs=0.03)
     assert "of the table's: other lamps or another sensor" in contrast_warning(found)[0]
+
+
+@pytest.mark.parametrize(
+    ("inside", "beside", "is_more"), [(1.5, 1.6, False), (2.1, 0.9, True), (1.2, 2.1, True)]
+)
+def test_a_diagnosis_is_proposed_where_more_than_noise_is_left(inside, beside, is_more):
+    """A grey level above the camera's 0.8 to 1.0, in the contact or on the ring beside it."""
+    errors = {0: inside, 1: beside}
+    heldout = SimpleNamespace(rmse=lambda picture, ring: (errors[ring], []))
+    made = SimpleNamespace(heldout=heldout, table=SimpleNamespace(noise_grey=1.0))
+    assert leaves_more_than_noise(made) is is_more
