@@ -6,5 +6,6 @@ from .core.resources import __version__ as __version__
 from .dataset.reader import Dataset as Dataset
 from .learning.predictor import Predictor as Predictor
 from .optics.table import load_table as load_table
+from .sensor.read_image import ImageReader as ImageReader
 from .sensor.read_image import read_image as read_image
 from .sensor.simulated import Sensor as Sensor

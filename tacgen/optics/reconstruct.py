@@ -49,6 +49,9 @@ MOST_AT_STEEPEST = 0.01
 """Share of a contact's pixels at the table's steepest slope: up to it balls, edges and cylinders
 were read within 5 %, beyond it deep flat punches up to 50 % too shallow."""
 AT_STEEPEST = 0.97  # of the steepest slope: a step of the search grid below it
+LEAST_CHANGE_GREY = (
+    1.0  # over the three colours: what changes less is nearly at rest, and starts there
+)
 REFINEMENTS = 3  # of each slope between the grid's nodes
 CONTACT_PASSES = 3
 """Slopes, depth and what a contact of that depth adds, in turn: a ball's depth is 6 % too large
@@ -230,8 +233,10 @@ class Reconstructor:
         seen = gaussian_filter(_filled(change, known), (BLUR_PX, BLUR_PX, 0.0))
         change = seen
         bare = drift.bare if drift.bare.any() else known > 0
+        before = None
         for _ in range(CONTACT_PASSES if self._table.image_model.sees_depth else 1):
-            found = self._slopes_of(change)
+            found = self._slopes_of(change, before)
+            before = change, found
             depth = self._depth_of(found, known, bare)
             # On bare gel an error of the level would become light, slopes and a larger error.
             change = seen - self._contact_light(found, np.where(drift.bare, 0.0, depth))
@@ -284,11 +289,14 @@ class Reconstructor:
     def _contact_light(self, slopes: FloatArray, depth_mm: FloatArray) -> FloatArray:
         """Grey levels (h, w, 3) that a contact of these slopes and depths adds."""
         height, width = self._shape
-        rows, columns = np.indices(self._shape)
+        rows, columns = np.nonzero(depth_mm > 0)
         u, v = (columns + 0.5) / width - 0.5, (rows + 0.5) / height - 0.5
-        places = (part.ravel() for part in (slopes[..., 0], slopes[..., 1], depth_mm, u, v))
-        colors = self._table.image_model.contact_colors(*places)
-        return colors.reshape(height, width, 3)
+        pressed = slopes[rows, columns]
+        added = np.zeros((height, width, 3))
+        added[rows, columns] = self._table.image_model.contact_colors(
+            pressed[:, 0], pressed[:, 1], depth_mm[rows, columns], u, v
+        )
+        return added
 
     def _slope_stderr(self, slopes: FloatArray, change: FloatArray, where: BoolArray) -> float:
         """Standard error of the slopes in a region.
@@ -304,39 +312,42 @@ class Reconstructor:
         spread = (xx + yy) / np.maximum(xx * yy - xy**2, 1e-9)
         return float(np.sqrt(0.5 * variance * np.median(spread)))
 
-    def _slopes_of(self, change: FloatArray) -> FloatArray:
-        """(h, w, 2) slopes that explain a change of grey levels from the gel at rest."""
+    def _slopes_of(
+        self, change: FloatArray, before: tuple[FloatArray, FloatArray] | None = None
+    ) -> FloatArray:
+        """(h, w, 2) slopes that explain a change of grey levels from the gel at rest.
+
+        ``before`` are another change and its slopes, which stay where the change is the same.
+        """
+        asked = np.ones(self._shape, dtype=np.bool_)
+        slopes = self._rest.copy()
+        if before is not None:
+            asked, slopes = (before[0] != change).any(axis=-1), before[1].copy()
         wanted = change + self._rest_colors
-        slopes = np.empty((*self._shape, 2))
-        axis = np.linspace(-self.steepest, self.steepest, self._grid.shape[0])
-        for tile, (tree, nodes) in self._trees.items():
-            rows, columns = tile
-            part = wanted[rows[0] : rows[1], columns[0] : columns[1]].reshape(-1, 3)
-            far, nearest = tree.query(np.column_stack([part, np.zeros(len(part))]))
-            found = np.stack([axis[nodes[nearest, 1]], axis[nodes[nearest, 0]]], axis=-1)
-            where = slice(*rows), slice(*columns)
-            shape = rows[1] - rows[0], columns[1] - columns[0]
-            # Where the gel at rest explains the colour as well, it is at rest.
-            moved = (change[where] ** 2).sum(axis=-1) > far.reshape(shape) ** 2
-            slopes[where] = np.where(moved[..., None], found.reshape(*shape, 2), self._rest[where])
-        for _ in range(REFINEMENTS):
-            slopes += self._newton_step(slopes, wanted)
-            np.clip(slopes, -self.steepest, self.steepest, out=slopes)
+        self._search(change, wanted, asked, slopes)
+        _refine(self._grid, self.steepest, wanted, self._rest, asked, slopes)
         return slopes
 
-    def _newton_step(self, slopes: FloatArray, wanted: FloatArray) -> FloatArray:
-        """Gauss–Newton on the squared difference of colours, with a weak prior for gel at rest."""
-        here, by_x, by_y = self._colors_at(slopes)
-        off = wanted - here
-        prior = SLOPE_PRIOR_GREY**2
-        xx, yy = ((d * d).sum(axis=-1) + prior for d in (by_x, by_y))
-        xy = (by_x * by_y).sum(axis=-1)
-        bent = slopes - self._rest
-        bx, by = ((d * off).sum(axis=-1) - prior * bent[..., i] for i, d in enumerate((by_x, by_y)))
-        determinant = xx * yy - xy * xy
-        step = np.stack([yy * bx - xy * by, xx * by - xy * bx], axis=-1) / determinant[..., None]
-        longest = LONGEST_STEP_NODES * 2.0 * self.steepest / (GRID_NODES - 1)
-        return np.asarray(np.clip(step, -longest, longest))
+    def _search(
+        self, change: FloatArray, wanted: FloatArray, asked: BoolArray, slopes: FloatArray
+    ) -> None:
+        """Write the slopes of the nearest colours where ``asked``, of those at a tile's middle.
+
+        Where the gel at rest explains the colour as well, or nearly all of it, it is at rest.
+        """
+        slopes[asked] = self._rest[asked]
+        axis = np.linspace(-self.steepest, self.steepest, self._grid.shape[0])
+        square = (change**2).sum(axis=-1)
+        asked = asked & (square > LEAST_CHANGE_GREY**2)
+        for ((top, bottom), (left, right)), (tree, nodes) in self._trees.items():
+            where = slice(top, bottom), slice(left, right)
+            here = asked[where]
+            colors = wanted[where][here]
+            far, nearest = tree.query(np.column_stack([colors, np.zeros(len(colors))]))
+            found = np.stack([axis[nodes[nearest, 1]], axis[nodes[nearest, 0]]], axis=-1)
+            is_rest = square[where][here] <= far**2
+            found[is_rest] = slopes[where][here][is_rest]
+            slopes[where][here] = found
 
     def _colors_at(self, slopes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Grey levels (h, w, 3) that the table adds at slopes (h, w, 2), and how they change
@@ -409,43 +420,102 @@ def _above(values: FloatArray, levels: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, nogil=True)
+def _color_at(
+    grid: NDArray[Any], steepest: float, place: tuple[float, float], x: float, y: float, to: Any
+) -> None:
+    """Linear interpolation of ``grid`` (see ``_cartesian``) at a place, in shares of the picture's
+    height and width, and at slopes x and y; into ``to`` (3, 3) go the grey levels and their
+    derivatives by both slopes.
+    """
+    m, n_rows, n_columns = grid.shape[0], grid.shape[2], grid.shape[3]
+    per_slope = (m - 1) / (2.0 * steepest)
+    v, u = place[0] * (n_rows - 1), place[1] * (n_columns - 1)
+    row, column = min(int(v), n_rows - 2), min(int(u), n_columns - 2)
+    down, across = v - row, u - column
+    # Just below the last node, so that there always is a next one.
+    x = min(max((x + steepest) * per_slope, 0.0), m - 1.001)
+    y = min(max((y + steepest) * per_slope, 0.0), m - 1.001)
+    i, j = int(y), int(x)
+    fy, fx = y - i, x - j
+    upper_left = upper_right = lower_left = lower_right = 0.0
+    for c in range(3):
+        for which in range(4):
+            p, q = i + which // 2, j + which % 2
+            top = grid[p, q, row, column, c]
+            top += across * (grid[p, q, row, column + 1, c] - top)
+            low = grid[p, q, row + 1, column, c]
+            low += across * (grid[p, q, row + 1, column + 1, c] - low)
+            value = top + down * (low - top)
+            if which == 0:
+                upper_left = value
+            elif which == 1:
+                upper_right = value
+            elif which == 2:
+                lower_left = value
+            else:
+                lower_right = value
+        left = upper_left + fy * (lower_left - upper_left)
+        right = upper_right + fy * (lower_right - upper_right)
+        upper = upper_left + fx * (upper_right - upper_left)
+        lower = lower_left + fx * (lower_right - lower_left)
+        to[0, c] = left + fx * (right - left)
+        to[1, c] = (right - left) * per_slope
+        to[2, c] = (lower - upper) * per_slope
+
+
+@njit(cache=True, nogil=True)
 def _interpolate(
     grid: NDArray[Any], steepest: float, slopes: NDArray[Any], colors: NDArray[Any]
 ) -> None:
-    """Linear interpolation of ``grid`` (see ``_cartesian``) at slopes (h, w, 2), each at its
-    place; into ``colors`` (3, h, w, 3) go the grey levels and their derivatives by both slopes.
-    """
-    m, n_rows, n_columns = grid.shape[0], grid.shape[2], grid.shape[3]
+    """``_color_at`` slopes (h, w, 2), each at its place, into ``colors`` (3, h, w, 3)."""
     height, width = slopes.shape[:2]
-    per_slope = (m - 1) / (2.0 * steepest)
-    corners = np.zeros((2, 2))
     for r in range(height):
-        v = (r + 0.5) / height * (n_rows - 1)
-        row = min(int(v), n_rows - 2)
-        down = v - row
         for k in range(width):
-            u = (k + 0.5) / width * (n_columns - 1)
-            column = min(int(u), n_columns - 2)
-            across = u - column
-            # Just below the last node, so that there always is a next one.
-            x = min(max((slopes[r, k, 0] + steepest) * per_slope, 0.0), m - 1.001)
-            y = min(max((slopes[r, k, 1] + steepest) * per_slope, 0.0), m - 1.001)
-            i, j = int(y), int(x)
-            fy, fx = y - i, x - j
-            for c in range(3):
-                for p in range(2):
-                    for q in range(2):
-                        here = grid[i + p, j + q, row : row + 2, column : column + 2, c]
-                        top = here[0, 0] + across * (here[0, 1] - here[0, 0])
-                        low = here[1, 0] + across * (here[1, 1] - here[1, 0])
-                        corners[p, q] = top + down * (low - top)
-                left = corners[0, 0] + fy * (corners[1, 0] - corners[0, 0])
-                right = corners[0, 1] + fy * (corners[1, 1] - corners[0, 1])
-                upper = corners[0, 0] + fx * (corners[0, 1] - corners[0, 0])
-                lower = corners[1, 0] + fx * (corners[1, 1] - corners[1, 0])
-                colors[0, r, k, c] = left + fx * (right - left)
-                colors[1, r, k, c] = (right - left) * per_slope
-                colors[2, r, k, c] = (lower - upper) * per_slope
+            place = (r + 0.5) / height, (k + 0.5) / width
+            _color_at(grid, steepest, place, slopes[r, k, 0], slopes[r, k, 1], colors[:, r, k])
+
+
+@njit(cache=True, nogil=True)
+def _refine(
+    grid: NDArray[Any],
+    steepest: float,
+    wanted: NDArray[Any],
+    rest: NDArray[Any],
+    asked: NDArray[Any],
+    slopes: NDArray[Any],
+) -> None:
+    """Gauss–Newton steps of ``slopes`` (h, w, 2) where ``asked`` (h, w), towards ``wanted``.
+
+    On the squared difference of colours, with a weak prior for the slopes ``rest`` (h, w, 2).
+    """
+    height, width = slopes.shape[:2]
+    prior = SLOPE_PRIOR_GREY**2
+    longest = LONGEST_STEP_NODES * 2.0 * steepest / (GRID_NODES - 1)
+    to = np.empty((3, 3))
+    for r in range(height):
+        for k in range(width):
+            if not asked[r, k]:
+                continue
+            place = (r + 0.5) / height, (k + 0.5) / width
+            x, y = slopes[r, k]
+            for _ in range(REFINEMENTS):
+                _color_at(grid, steepest, place, x, y, to)
+                xx, yy, xy = prior, prior, 0.0
+                bx, by = prior * (rest[r, k, 0] - x), prior * (rest[r, k, 1] - y)
+                for c in range(3):
+                    off = wanted[r, k, c] - to[0, c]
+                    xx += to[1, c] * to[1, c]
+                    yy += to[2, c] * to[2, c]
+                    xy += to[1, c] * to[2, c]
+                    bx += to[1, c] * off
+                    by += to[2, c] * off
+                determinant = xx * yy - xy * xy
+                step_x = (yy * bx - xy * by) / determinant
+                step_y = (xx * by - xy * bx) / determinant
+                x += min(max(step_x, -longest), longest)
+                y += min(max(step_y, -longest), longest)
+                x, y = min(max(x, -steepest), steepest), min(max(y, -steepest), steepest)
+            slopes[r, k, 0], slopes[r, k, 1] = x, y
 
 
 def _cartesian(table: LookupTable, steepest: float) -> NDArray[np.float32]:

@@ -34,6 +34,7 @@ from tacgen.rig.images import Camera, press_ball
 from tacgen.sensor.description import load_sensor
 from tacgen.sensor.gel_response import gel_loads
 from tacgen.sensor.read_image import (
+    _LATEST,
     MARKER_STDERR_PX,
     ImageReader,
     Reading,
@@ -192,6 +193,26 @@ def test_no_contact_is_zero_force_and_says_so(rig, reader):
     assert not found.contact_mask.any()
     assert found.force_n.tolist() == [0.0, 0.0, 0.0]
     assert found.message == "no contact: the gel is nowhere deeper than 0.03 mm"
+
+
+def test_a_further_picture_is_read_by_the_reader_of_the_one_before(rig, sensor, press_of_3_n):
+    """It is made anew where the background changes, not only when another array holds it."""
+    background = rig[1].take(None, np.random.default_rng(0))
+    darker = np.rint(0.95 * background).astype(np.uint8)
+    fresh = {
+        k: tacgen.ImageReader(sensor, at).read(press_of_3_n)
+        for k, at in enumerate((background, darker))
+    }
+    tacgen.read_image(background, sensor, background)
+    kept = _LATEST[sensor]
+    assert (
+        tacgen.read_image(press_of_3_n, sensor, background.copy()).force_n[2] == fresh[0].force_n[2]
+    )
+    assert _LATEST[sensor] is kept
+    assert tacgen.read_image(press_of_3_n, sensor, darker).force_n[2] == fresh[1].force_n[2]
+    background[:] = darker  # a caller's buffer that is used again
+    assert tacgen.read_image(press_of_3_n, sensor, background).force_n[2] == fresh[1].force_n[2]
+    assert fresh[0].force_n[2] != fresh[1].force_n[2]
 
 
 def test_a_law_with_stiffening_is_inverted(reader, sensor):
