@@ -42,6 +42,8 @@ def dependences(fit: PressFit, model: Model) -> tuple[Dependence, ...]:
             grey = np.sqrt(typical(before)) - np.sqrt(typical(after))
             found.append(Dependence(name, p_value, float(grey)))
     for name in (AROUND, AROUND_BY_PLACE, PRESS):
+        if name == PRESS and found:
+            break  # what follows another covariate differs from press to press too
         before, after = around_contact(fit, model, residuals, name)
         grey = float(np.sqrt(max(before.mean() - after.mean(), 0.0)))
         gain, error = log_gain(before, after)
