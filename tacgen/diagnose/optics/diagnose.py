@@ -17,7 +17,7 @@ from tacgen.diagnose import record
 from tacgen.diagnose.evidence import Dependence, gain_interval_95
 from tacgen.diagnose.optics.fit import Known, Model, PressFit, typical
 from tacgen.diagnose.optics.rendering import views_of
-from tacgen.diagnose.optics.residuals import dependences
+from tacgen.diagnose.optics.residuals import PRESS, dependences
 from tacgen.diagnose.optics.selection import Scored, Selection, log_gain, select
 from tacgen.diagnose.optics.sharpness import LostNoise, lost_noise
 from tacgen.diagnose.record import estimate
@@ -126,7 +126,10 @@ class OpticsDiagnosis(record.Summarised):
         return record.Summary(
             "The table",
             [f"{one.name} ({one.heldout_gain:.2f} grey levels)" for one in self.effects],
-            [one.covariate for one in self.unexplained],
+            [
+                "each press (a pattern of its own)" if one.covariate == PRESS else one.covariate
+                for one in self.unexplained
+            ],
             before=self.before.rmse,
             after=self.after.rmse,
             floor=self.noise_floor,
