@@ -116,6 +116,14 @@ class ImageReader:
 
     Raises ``SensorError`` if the background is not of the table's size, ``TableError`` if it is
     turned, cropped or coloured otherwise than the table's.
+
+    Examples
+    --------
+    >>> import tacgen
+    >>> sensor = tacgen.Sensor("gelsight_mini")
+    >>> reader = tacgen.ImageReader(sensor)
+    >>> float(reader.read(sensor.at_rest_rgb()).volume_mm3)
+    0.0
     """
 
     def __init__(self, sensor: Sensor | str, background_rgb: Picture | None = None) -> None:
