@@ -88,7 +88,7 @@ def calibrate_lookup(
         own = common.session_sensor(presses) or shipped_sensor(made.table.shape_px)
         sensor, image = quoted(own or "my_sensor.yaml"), quoted(presses / used.names[0])
         lines.append(f"tacgen read {image} --sensor {sensor} --table {quoted(out)} --out readings")
-    if command.leaves_more_than_noise(made):
+    if command.differs_by_more_than_noise(made):
         lines.append(_diagnose_optics(presses, mm_per_px, ball_radius_mm))
     common.hand_over(*lines)
 

@@ -69,7 +69,7 @@ class ContactRules(SearchRules):
 
     # What remains
     form_share_left: float = 0.06  # of what is explained, that inexact formulas may leave
-    clearly_more: float = 2.0  # times the noise floor, of what the extended law leaves: more is no
+    clearly_more: float = 2.0  # times the noise floor, of the extended law's residual: more is no
     # noise, whether a column explains it or not
     exact_share: float = 0.01  # of what is measured: a smaller error is no fault of a law
     share_of_presses: float = 0.3  # of such a residual's squares, that a gain and a zero of each
@@ -187,6 +187,7 @@ class OpticsRules(SearchRules):
     # millimetre.
     held_presses: float = 2.0  # A pattern or trend is held back as if so many presses had shown
     # nothing.
+    held_of_own: float = 0.05  # Of that, for a pattern of one press its own: a tenth of a press.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -90,7 +90,7 @@ def drift_of(
     ``change`` (h, w, 3) is the picture less ``rest`` (h, w, 3); ``known`` (h, w) is 1 where the
     picture shows gel. Each channel has an offset and a gain that changes smoothly over the picture,
     since lamps drift one by one; only where it ``falls_outwards`` also as a lens does, because a
-    gel that bends around a contact looks alike. Gain and offset are told apart by the contrast of
+    gel that bends around a contact looks alike. Gain and offset are separated by the contrast of
     the gel at rest; with less contrast the gain tends to 1, and its error to the whole change of
     brightness.
     """

@@ -131,6 +131,7 @@ class ImageReader:
         at_rest = self.sensor.at_rest_rgb() if background_rgb is None else background_rgb
         self.background_rgb = self._checked(at_rest, "the background").copy()
         dome_mm = self.sensor.description.dome_radius_mm
+        self._table = self.sensor.table
         self._scale = self.sensor.table.shape_px, self.sensor.table.mm_per_px
         self._reconstructor = Reconstructor(self.sensor.table, self.background_rgb, dome_mm)
         spots = find_spots(self.background_rgb)
@@ -141,6 +142,11 @@ class ImageReader:
             spacing_mm = self._at_rest.spacing_px * self.sensor.table.mm_per_px
             markers = self.sensor.description.markers
             self._pitch_mm = markers.pitch_mm if markers else spacing_mm
+
+    def is_of(self, sensor: Sensor, background_rgb: NDArray[np.uint8]) -> bool:
+        """Whether it was made from this sensor, with the table that it has now, and background."""
+        same = self.sensor is sensor and self._table is sensor.table
+        return same and np.array_equal(self.background_rgb, background_rgb)
 
     def read(self, image_rgb: Picture) -> Reading:
         """Depth, contact, volume and force of one picture (H, W, 3), RGB uint8, or of its file.
@@ -300,7 +306,7 @@ def read_image(
     if isinstance(at_rest, (str, Path)):
         at_rest = read_rgb(Path(at_rest), SensorError)
     known = _LATEST.get(sensor)
-    if known is None or not np.array_equal(known.background_rgb, at_rest):
+    if known is None or not known.is_of(sensor, at_rest):
         _LATEST.clear()
         known = _LATEST[sensor] = ImageReader(sensor, at_rest)
     return known.read(image_rgb)

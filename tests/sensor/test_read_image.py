@@ -213,6 +213,12 @@ def test_a_further_picture_is_read_by_the_reader_of_the_one_before(rig, sensor, 
     background[:] = darker  # a caller's buffer that is used again
     assert tacgen.read_image(press_of_3_n, sensor, background).force_n[2] == fresh[1].force_n[2]
     assert fresh[0].force_n[2] != fresh[1].force_n[2]
+    mine = tacgen.Sensor("gelsight_mini", sensor.description.table, sensor.law)
+    tacgen.read_image(press_of_3_n, mine, darker)
+    mine.table = replace(mine.table)  # what a reader is made of
+    before = _LATEST[mine]
+    tacgen.read_image(press_of_3_n, mine, darker)
+    assert _LATEST[mine] is not before
 
 
 def test_a_law_with_stiffening_is_inverted(reader, sensor):

@@ -49,7 +49,7 @@ def calibrate_lookup(
     return calibration, presses
 
 
-def leaves_more_than_noise(calibration: Calibration) -> bool:
+def differs_by_more_than_noise(calibration: Calibration) -> bool:
     """Whether held-out presses differ, in or beside a contact, by what a camera's noise is not."""
     error = max(calibration.heldout.rmse("refined", ring)[0] for ring in range(2))
     return error > calibration.table.noise_grey + RULES.structure_grey

@@ -92,14 +92,16 @@ def of_each_press(data: ChannelData, fit: Fit) -> float:
     """The share of the residual's squares that a gain and a zero of each trial explain.
 
     Fitted to one half of a trial's rows and scored on the other: blocks of ``rules.own_block`` rows
-    in turn.
+    in turn, shorter ones where a trial has not four of them.
     """
     history, rows = data.history, np.arange(data.history.n_samples)
     residual = data.target - fit.model.response(data)
     design = np.column_stack([fit.model.law_response(data) / data.span, np.ones(rows.size)])
     weight = np.sqrt(data.weight)[:, None]
     left = residual.copy()
-    odd = (rows - history.starts[history.trial_index]) // data.rules.own_block % 2 == 1
+    lengths = np.diff(history.starts)[history.trial_index]
+    block = np.clip(lengths // 4, 1, data.rules.own_block)
+    odd = (rows - history.starts[history.trial_index]) // block % 2 == 1
     for trial in range(history.n_trials):
         own = history.trial_index == trial
         for scored in (odd, ~odd):

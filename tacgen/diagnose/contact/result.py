@@ -112,7 +112,7 @@ class ChannelDiagnosis(record.Summarised):
 
 _OF_PRESSES = {
     EACH_PRESS: "each press (a gain or a zero of its own)",
-    COURSE: "the course of the press, by no column of the log,",
+    COURSE: "the course of each press",
 }
 _LAW_WORDS = {"normal": "V = k_n F_n", "shear": "D = k_s F_s"}
 

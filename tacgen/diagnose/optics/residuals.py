@@ -91,7 +91,7 @@ def around_contact(
     after = []
     for k, fold in enumerate(fit.folds):
         if follows == PRESS:
-            after.append(_of_other_half(columns[k], near[k], halves[k], held))
+            after.append(_of_other_half(columns[k], near[k], halves[k], rules.held_of_own * held))
             continue
         kept = fit.folds != fold
         weights = np.linalg.solve(grams[kept].sum(axis=0) + held, moments[kept].sum(axis=0))
@@ -106,7 +106,7 @@ def _of_other_half(
     left = values.copy()
     for scored in (half, ~half):
         kept = columns[~scored]
-        weights = np.linalg.solve(kept.T @ kept + 0.05 * held, kept.T @ values[~scored])
+        weights = np.linalg.solve(kept.T @ kept + held, kept.T @ values[~scored])
         left[scored] -= columns[scored] @ weights
     return left
 

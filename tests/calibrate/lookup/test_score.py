@@ -11,7 +11,7 @@ import pytest
 
 from tacgen.calibrate.lookup.command import (
     contrast_warning,
-    leaves_more_than_noise,
+    differs_by_more_than_noise,
     score_text,
 )
 from tacgen.calibrate.lookup.score import psnr_db, score_table, structural_similarity
@@ -69,4 +69,4 @@ def test_a_diagnosis_is_proposed_where_more_than_noise_is_left(inside, beside, i
     errors = {0: inside, 1: beside}
     heldout = SimpleNamespace(rmse=lambda picture, ring: (errors[ring], []))
     made = SimpleNamespace(heldout=heldout, table=SimpleNamespace(noise_grey=1.0))
-    assert leaves_more_than_noise(made) is is_more
+    assert differs_by_more_than_noise(made) is is_more

@@ -288,6 +288,20 @@ def test_an_error_far_above_the_noise_is_unexplained_where_no_column_explains_it
     assert "follows each press (a gain or a zero of its own)" in found.sentence
 
 
+def test_a_gain_of_each_press_is_seen_in_presses_of_six_samples():
+    rng = np.random.default_rng(0)
+    gain, force = np.repeat(rng.uniform(3.0, 6.0, 20), 6), np.tile(np.linspace(0.0, 5.0, 6), 20)
+    log = {
+        "trial": np.repeat(np.arange(20), 6),
+        "time_s": 0.1 * np.arange(120),
+        "force_normal_n": force,
+        "volume_mm3": gain * force + 0.01 * rng.standard_normal(120),
+    }
+    (left,) = diagnose(log).channels["normal"].unexplained
+    assert left.covariate == "press"
+    assert left.gain > 0.9
+
+
 def test_samples_that_stick_out_spoil_neither_the_fit_nor_the_errors():
     columns, noise = case([])
     log = few_columns(columns)
