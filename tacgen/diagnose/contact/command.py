@@ -258,16 +258,29 @@ class _Channel:
     def _test_errors(
         self, fitted: ChannelSamples, test: ChannelSamples, attribution: Attribution
     ) -> tuple[Errors, Errors]:
-        """Errors of the law alone on whole test trials, before and after; spikes do not count."""
+        """Errors on whole test trials, before and after; spikes do not count.
+
+        The extended law is scored with the columns of the log that it was fitted beside, each as
+        long as it lowers the error: an effect that a column shares is not to be judged without it.
+        """
         rows = test.every_sample()
         kept = rows.weight > 0
-        found = []
         data = fitted.thinned(self._rules.refit_rows_per_trial)
-        for fit in (attribution.base.fit, attribution.final.fit):
-            model = _refitted(data, fit.model).model
-            residual = rows.target - model.law_response(rows)
-            found.append(heldout.errors(residual[kept], rows.history.trial[kept]))
-        return found[0], found[1]
+
+        def scored(start: Model) -> Errors:
+            residual = rows.target - _refitted(data, start).model.response(rows)
+            return heldout.errors(residual[kept], rows.history.trial[kept])
+
+        model = attribution.final.fit.model
+        before = scored(attribution.base.fit.model)
+        if not model.terms:
+            return before, before
+        after = scored(model)
+        for term in model.covariates:
+            less = model.without("", term.covariate)
+            if (without := scored(less)).rmse <= after.rmse:
+                model, after = less, without
+        return before, after
 
     def _gp_rmse(self, fitted: ChannelSamples, test: ChannelSamples, linear: Model) -> float:
         data, rows = fitted.thinned(), test.every_sample()
