@@ -11,9 +11,10 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.engine_contacts import ContactPoint
 from tacgen.core.records import PADS, ContactFrame, frozen_array
 from tacgen.core.types import MM_PER_M, FloatArray, Pose, inverse, pose, rotation_of
-from tacgen.physics.engine import TABLE, ContactPoint, Touch
+from tacgen.physics.engine import TABLE, Touch
 from tacgen.physics.gripper import Pad
 from tacgen.physics.standing import NEAR_TABLE_M, PadLoad, least_shear, outermost
 
@@ -36,7 +37,7 @@ class Placement:
 class Snapshot(Placement):
     """All that is kept of one step: nothing is computed while the simulation runs."""
 
-    contacts: tuple[ContactPoint, ...]
+    contacts: Sequence[ContactPoint[str]]
     object_angular_velocity: tuple[float, ...]
     pad_distance_m: tuple[float, float]
 
@@ -60,7 +61,7 @@ class Contacts:
         return Contacts(*(getattr(self, column.name)[keep] for column in fields(self)))
 
 
-def contacts_of(points: Sequence[ContactPoint]) -> Contacts:
+def contacts_of(points: Sequence[ContactPoint[str]]) -> Contacts:
     """The points as arrays."""
     rows = [(*p.point_m, *p.normal, p.normal_force_n, *p.force_n) for p in points]
     table = np.array(rows, dtype=np.float64).reshape(-1, 10)
