@@ -19,11 +19,10 @@ from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe
 from tacgen.contact import gap_map, solve_indentation
+from tacgen.contact.gel_response import GelLoad
 from tacgen.core.records import Mesh
+from tacgen.core.sensors import load_sensor
 from tacgen.objects import load_object
-from tacgen.optics import load_table
-from tacgen.sensor.description import load_sensor
-from tacgen.sensor.gel_response import GelLoad
 from tacgen.sensor.tactile_pad import TactilePad
 
 FRAME_OBJECT = "tomato_soup_can"
@@ -95,8 +94,7 @@ def _frame_figures(repeats: int) -> Iterator[Figure]:
         ("frame_shadow_ms_640x480", "gelsight", True),
         ("frame_ms_320x240", "gelsight_mini", False),
     ):
-        sensor = load_sensor(sensor_name)
-        pad = TactilePad(sensor, load_table(sensor.table), shadows=shadows)
+        pad = TactilePad(load_sensor(sensor_name), shadows=shadows)
         frame = partial(pad.render, surface, pose, GelLoad(FRAME_VOLUME_MM3))
         what = f"{sensor_name}, {len(surface.faces)} triangles{', shadows' if shadows else ''}"
         yield name, 1e3 * _median_s(frame, repeats), "ms", what

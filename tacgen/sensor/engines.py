@@ -14,12 +14,12 @@ import trimesh
 from numpy.typing import NDArray
 
 from tacgen.contact.gel import gel_size_mm
+from tacgen.contact.indenter import Imprint
 from tacgen.contact.raster import dome_mm
 from tacgen.core.engine_contacts import ContactPoint
 from tacgen.core.errors import SensorError
 from tacgen.core.records import Mesh, Sensor
 from tacgen.core.types import MM_PER_M, BoolArray, FloatArray, inverse
-from tacgen.sensor.tactile_pad import Imprint
 
 SPHERE_SUBDIVISIONS = 6  # 82 k triangles: facets of a ball of 10 mm are then flatter than 1 µm
 TOUCHING_GAP_M = 2e-3

@@ -9,13 +9,13 @@ import trimesh
 from scipy.special import ellipe
 
 from tacgen.collection.gel import gel_patch
+from tacgen.contact.indenter import Indenter
 from tacgen.contact.law import ContactLaw
 from tacgen.core.records import ContactFrame, GraspConfig, GraspObject, Mesh
+from tacgen.core.sensors import load_sensor
 from tacgen.core.types import STANDARD_GRAVITY_M_S2
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
 from tacgen.physics.margins import torsion_arm_mm
-from tacgen.sensor.description import load_sensor
-from tacgen.sensor.tactile_pad import Indenter
 
 GEL_MM = np.array([24.0, 19.0])
 SENSOR = replace(load_sensor("gelsight"), gel_size_mm=tuple(GEL_MM))

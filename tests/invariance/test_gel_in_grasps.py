@@ -11,10 +11,10 @@ from tacgen.collection.gel import contact_law
 from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline, tactile_pad
 from tacgen.collection.recipe import load_recipe
+from tacgen.contact.gel_response import gel_loads
 from tacgen.contact.law import ContactLaw, FittedEffect
 from tacgen.core.records import Estimate, GraspConfig
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
-from tacgen.sensor.gel_response import gel_loads
 from tests.physics.conftest import SEQUENCE, block
 from tests.small_world import write_world
 

@@ -227,9 +227,9 @@ def test_pads_touch_where_the_gel_is_pressed(
 
 class _Gel:
     def __init__(self) -> None:
+        from tacgen.contact.indenter import Indenter
         from tacgen.contact.law import ContactLaw
-        from tacgen.sensor.description import load_sensor
-        from tacgen.sensor.tactile_pad import Indenter
+        from tacgen.core.sensors import load_sensor
 
         self.indenter, self.law = Indenter(load_sensor("gelsight")), ContactLaw.default()
 

@@ -16,13 +16,13 @@ import numpy as np
 from tacgen.collection.confidence import label_confidence
 from tacgen.collection.gel import gel_patch
 from tacgen.collection.recipe import Recipe
+from tacgen.contact.indenter import Indenter
 from tacgen.contact.law import ContactLaw
 from tacgen.core.records import GraspConfig, GraspObject, GraspTrace
+from tacgen.core.sensors import load_sensor
 from tacgen.diagnose.grasps.slip_margin import closed_form_margin
 from tacgen.objects import load_object
 from tacgen.physics import FrameRequest, GraspSimulator, run_grasp
-from tacgen.sensor.description import load_sensor
-from tacgen.sensor.tactile_pad import Indenter
 
 OBJECTS = (
     *("tomato_soup_can", "potted_meat_can", "sugar_box", "rubiks_cube"),
