@@ -20,7 +20,7 @@ from tacgen.core.processes import Report
 from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, Mesh, frozen_array
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.objects import load_object
-from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
+from tacgen.physics import FrameRequest, GelModel, GraspSimulator, PhysicsSettings, run_grasp
 from tacgen.physics.settings import force_problem
 
 OUTCOMES = "outcomes.jsonl"
@@ -429,8 +429,9 @@ def _grasp_job(
                     replace(config, index=task),
                     changed,
                     frames=FrameRequest(),
-                    patch_of=partial(gel_patch, indenter, law, grasped.surface),
-                    keeps_past=bool(law.effects),
+                    gel=GelModel(
+                        partial(gel_patch, indenter, law, grasped.surface), bool(law.effects)
+                    ),
                 )
                 found.append(asdict(Outcome.of(trace, changed)))
             return found

@@ -30,7 +30,7 @@ from tacgen.core.records import ContactFrame, GraspConfig, GraspObject, GraspTra
 from tacgen.core.sensors import load_sensor
 from tacgen.core.types import FloatArray
 from tacgen.dataset import CameraSample, DatasetSpec, GraspSample, PadSample
-from tacgen.physics import FrameRequest, GraspSimulator
+from tacgen.physics import FrameRequest, GelModel, GraspSimulator
 from tacgen.physics.grasp import StartedGrasp, not_executed
 from tacgen.physics.rest import topples_deg
 from tacgen.sensor.tactile_pad import TactilePad
@@ -126,8 +126,7 @@ class GraspPipeline:
             config,
             self._settings,
             frames=frames or self.recipe.frames,
-            patch_of=patch_of,
-            keeps_past=bool(self._law.effects),
+            gel=GelModel(patch_of, bool(self._law.effects)),
         )
         return HeldGrasp(started, partial(SimulatedGrasp, planned, grasped, config, variation))
 

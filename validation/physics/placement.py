@@ -20,7 +20,7 @@ from tacgen.core.resources import object_folders
 from tacgen.core.sensors import load_sensor
 from tacgen.core.types import FloatArray, rotation_about_z
 from tacgen.objects import load_object
-from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
+from tacgen.physics import FrameRequest, GelModel, GraspSimulator, PhysicsSettings, run_grasp
 from tacgen.sensor.tactile_pad import TactilePad
 
 GRASPS = 16
@@ -99,7 +99,7 @@ class Study:
                 placement.of_grasp(config),
                 self.settings,
                 frames=FrameRequest(),
-                patch_of=patch_of,
+                gel=GelModel(patch_of),
             )
             found.append(trace)
         return found
