@@ -23,17 +23,17 @@ from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe
 from tacgen.contact import gap_map, solve_indentation
+from tacgen.contact.gel_response import GelLoad
+from tacgen.contact.indenter import Imprint
 from tacgen.core.records import Mesh
+from tacgen.core.sensors import load_sensor
 from tacgen.diagnose.contact.command import diagnose
 from tacgen.objects import load_object
-from tacgen.optics import load_table
 from tacgen.presses.press_folder import read_presses
 from tacgen.presses.press_log import read_press_log
 from tacgen.rig import load_rig_recipe, run_rig
-from tacgen.sensor.description import load_sensor
-from tacgen.sensor.gel_response import GelLoad
 from tacgen.sensor.read_image import ImageReader
-from tacgen.sensor.tactile_pad import Imprint, TactilePad
+from tacgen.sensor.tactile_pad import TactilePad
 
 FRAME_OBJECT = "tomato_soup_can"
 FRAME_VOLUME_MM3 = 40.0  # about what 8 N press into the default gel
@@ -107,8 +107,7 @@ def _frame_figures(repeats: int) -> Iterator[Figure]:
         ("frame_shadow_ms_640x480", "gelsight", True),
         ("frame_ms_320x240", "gelsight_mini", False),
     ):
-        sensor = load_sensor(sensor_name)
-        pad = TactilePad(sensor, load_table(sensor.table), shadows=shadows)
+        pad = TactilePad(load_sensor(sensor_name), shadows=shadows)
         frame = partial(pad.render, surface, pose, GelLoad(FRAME_VOLUME_MM3))
         what = f"{sensor_name}, {len(surface.faces)} triangles{', shadows' if shadows else ''}"
         yield name, 1e3 * _median_s(frame, repeats), "ms", what
@@ -138,8 +137,8 @@ def reading_figures(repeats: int) -> Iterator[Figure]:
     surface, pose = _side_of_object()
     for name in ("gelsight_mini", "gelsight"):
         sensor = load_sensor(name)
-        pad = TactilePad(sensor, load_table(sensor.table))
-        rgb = pad.render(surface, pose, GelLoad(FRAME_VOLUME_MM3)).rgb
+        pad = TactilePad(sensor)
+        rgb = pad.render(surface, pose, GelLoad(FRAME_VOLUME_MM3))
         read = partial(ImageReader(name, pad.image(Imprint())).read, rgb)
         size = f"{sensor.width_px}x{sensor.height_px}"
         yield f"read_ms_{size}", 1e3 * _median_s(read, repeats), "ms", f"{name}, a picture to depth"

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
+import tacgen
 from tacgen.cli import common
 from tacgen.cli.common import quoted
 from tacgen.core.files import refuse_existing
@@ -72,7 +73,7 @@ def calibrate_lookup(
 ) -> None:
     """Fit the lookup table to images of ball presses; prints its error on held-out presses."""
     from tacgen.calibrate.lookup import command
-    from tacgen.sensor.description import shipped_sensor
+    from tacgen.core.sensors import shipped_sensor
 
     refuse_existing(force, out)
     made, used = command.calibrate_lookup(
@@ -172,11 +173,12 @@ def calibrate_export(
     require_known("--format", format_name, ("taxim", "mujoco"), TableError)
     if format_name == "mujoco":
         from tacgen.calibrate.contact.mujoco_export import export_mujoco
-        from tacgen.contact.law import load_law
-        from tacgen.sensor.description import SensorChoice, load_sensor
+        from tacgen.core.sensors import SensorChoice, load_sensor
 
         choice = SensorChoice(name=sensor, dome_radius_mm=dome_radius_mm)
-        pad = export_mujoco(load_law(calibrated), load_sensor(choice, needs_table=False), out)
+        pad = export_mujoco(
+            tacgen.load_law(calibrated), load_sensor(choice, needs_table=False), out
+        )
         common.warn([f"left out: {', '.join(pad.left_out)}"] if pad.left_out else [])
         path = out / "pad.xml"
         common.print_result(
@@ -185,9 +187,8 @@ def calibrate_export(
         common.hand_over(f'mujoco.MjSpec.from_file("{path.resolve()}").body("pad")  # attach it')
         return
     from tacgen.calibrate.lookup.taxim_export import export_taxim
-    from tacgen.optics.table import load_table
 
-    loaded = load_table(calibrated)
+    loaded = tacgen.load_table(calibrated)
     loss = export_taxim(loaded, out, dome_radius_mm)
     if loaded.effects:
         common.warn([f"left out: {', '.join(loaded.effects)}, which Taxim's form has no place for"])
@@ -270,8 +271,8 @@ def friction(
     json_output: common.JsonFlag = False,
 ) -> None:
     """Fit each object's friction μ so that simulated grasps match the labels of real ones."""
-    from tacgen.calibrate.friction import sweep
-    from tacgen.calibrate.friction.report import verdict_of, write_friction_report
+    from tacgen.collection import friction as sweep
+    from tacgen.collection.friction_report import verdict_of, write_friction_report
     from tacgen.collection.recipe import known_objects, load_recipe
     from tacgen.core.progress import progress_counter
     from tacgen.dataset.real_grasps import read_real_grasps
@@ -309,13 +310,12 @@ def read(
 ) -> None:
     """Read depth, contact, volume and force from images of a calibrated sensor."""
     from tacgen.core.safe_io import read_rgb
-    from tacgen.optics import load_table
     from tacgen.sensor.read_image import ImageReader, read_files, reading_line
     from tacgen.sensor.simulated import Sensor
 
     at_rest = None if background is None else read_rgb(background)
     # Of the sensor that took the pictures, which is that of the table.
-    geometry = load_table(table).geometry if table else {}
+    geometry = tacgen.load_table(table).geometry if table else {}
     scale, dome = (geometry.get(name) for name in ("mm_per_px", "dome_radius_mm"))
     known = Sensor(sensor, table, contact, mm_per_px=scale, dome_radius_mm=dome)
     if contact is None:

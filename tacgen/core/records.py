@@ -14,6 +14,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
+from pydantic import ConfigDict, PositiveFloat, PositiveInt
 
 from tacgen.core.types import FloatArray
 
@@ -106,12 +107,18 @@ class GraspObject:
 
 @dataclass(frozen=True, slots=True)
 class Markers:
-    """The printed dots of a gel: a grid of ``rows`` × ``columns`` at ``pitch_mm``."""
+    """The grid of dots printed on the gel."""
 
-    rows: int
-    columns: int
-    pitch_mm: float
-    radius_mm: float
+    __pydantic_config__ = ConfigDict(extra="forbid", use_attribute_docstrings=True)
+
+    rows: PositiveInt
+    """Rows of dots."""
+    columns: PositiveInt
+    """Columns of dots."""
+    pitch_mm: PositiveFloat
+    """Distance between neighbouring dots."""
+    radius_mm: PositiveFloat
+    """Radius of a dot."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,8 @@ IntArray: TypeAlias = NDArray[np.integer[Any]]
 BoolArray: TypeAlias = NDArray[np.bool_]
 Pose: TypeAlias = FloatArray
 """A (4, 4) rigid transform, or (..., 4, 4) of them."""
+Window: TypeAlias = tuple[int, int, int, int]
+"""Half-open rectangle of pixels: top, bottom, left, right."""
 
 
 MM_PER_M = 1000.0

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.compiled import njit
-from tacgen.optics.smooth import Window, copy_row
+from tacgen.core.types import Window
+from tacgen.optics.smooth import copy_row
 from tacgen.optics.vector import NODE_FLOATS, blend_nodes, blend_places
 
 N_FEATURES = 6  # x², y², xy, x, y, 1 in image position, Taxim's order

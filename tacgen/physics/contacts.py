@@ -11,11 +11,12 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.engine_contacts import ContactPoint
 from tacgen.core.records import PADS, ContactFrame, frozen_array
 from tacgen.core.types import MM_PER_M, FloatArray, Pose, cross, inverse, pose, rotation_of
-from tacgen.physics.engine import TABLE, ContactPoint, Touch
+from tacgen.physics.engine import TABLE, Touch
 from tacgen.physics.gripper import Pad
-from tacgen.physics.standing import NEAR_TABLE_M, PadLoad, least_shear, outermost
+from tacgen.physics.standing import NEAR_TABLE_M, PadLoad, Table, least_shear, outermost
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +37,7 @@ class Placement:
 class Snapshot(Placement):
     """All that is kept of one step: nothing is computed while the simulation runs."""
 
-    contacts: tuple[ContactPoint, ...]
+    contacts: Sequence[ContactPoint[str]]
     object_angular_velocity: tuple[float, ...]
     pad_distance_m: tuple[float, float]
 
@@ -60,7 +61,7 @@ class Contacts:
         return Contacts(*(getattr(self, column.name)[keep] for column in fields(self)))
 
 
-def contacts_of(points: Sequence[ContactPoint]) -> Contacts:
+def contacts_of(points: Sequence[ContactPoint[str]]) -> Contacts:
     """The points as arrays."""
     rows = [(*p.point_m, *p.normal, p.normal_force_n, *p.force_n) for p in points]
     table = np.array(rows, dtype=np.float64).reshape(-1, 10)
@@ -228,15 +229,13 @@ def _pad_loads(window: Sequence[Snapshot], bodies: Bodies) -> dict[str, PadLoad]
             )
     touched = [point.point_m for point in last.contacts if point.part == TABLE]
     if loads and touched and last.step < bodies.lift_step:
-        table, frame = contacts.of(TABLE), object_pose(last, bodies)
+        pushes, frame = contacts.of(TABLE), object_pose(last, bodies)
         # An engine need not name all the corners on which an object stands.
         places_m = bodies.vertices_m @ frame[:3, :3].T + frame[:3, 3]
         near = places_m[:, 2] < min(z for _, _, z in touched) + NEAR_TABLE_M
         corners_m = outermost(np.concatenate([touched, places_m[near]]), closing_axis)
-        shared = least_shear(
-            list(loads.values()), closing_axis, bodies.pad_friction,
-            corners_m, table.point_m, table.force_n, bodies.table_friction,
-        )  # fmt: skip
+        table = Table(bodies.table_friction, corners_m, pushes.point_m, pushes.force_n)
+        shared = least_shear(list(loads.values()), closing_axis, bodies.pad_friction, table)
         loads = dict(zip(loads, shared, strict=True))
     return loads
 

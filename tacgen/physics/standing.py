@@ -35,26 +35,32 @@ class PadLoad:
     moment_n_m: float
 
 
+@dataclass(frozen=True, slots=True)
+class Table:
+    """What an object stands on: it can push and rub at ``places_m`` (n, 3).
+
+    The forces that it was found to push with are ``pressed_n`` (m, 3), at ``pressed_m`` (m, 3).
+    """
+
+    friction: float
+    places_m: FloatArray
+    pressed_m: FloatArray
+    pressed_n: FloatArray
+
+
 def least_shear(
-    pads: Sequence[PadLoad],
-    closing_axis: FloatArray,
-    pad_friction: float,
-    table_m: FloatArray,
-    pressed_m: FloatArray,
-    pressed_n: FloatArray,
-    table_friction: float,
+    pads: Sequence[PadLoad], closing_axis: FloatArray, pad_friction: float, table: Table
 ) -> list[PadLoad]:
     """The loads, of the same resultant, that shear the gels least, with the table's help.
 
-    The pads' forces along ``closing_axis`` stay. The table can push and rub at ``table_m`` (n, 3);
-    its forces were ``pressed_n`` (m, 3) at ``pressed_m`` (m, 3).
+    The pads' forces along ``closing_axis`` stay.
     """
     from scipy.optimize import nnls  # slow to import
 
     up, middle_m = np.array([0.0, 0.0, 1.0]), np.mean([pad.center_m for pad in pads], axis=0)
     # Rows: six of balance, then a pad's force along the axis, its shear and its moment.
     wanted = np.zeros(6 + 4 * len(pads))
-    wanted[:6] = _wrenches(pressed_m - middle_m, pressed_n).sum(axis=0)
+    wanted[:6] = _wrenches(table.pressed_m - middle_m, table.pressed_n).sum(axis=0)
     columns, parts = list[FloatArray](), list[FloatArray]()
     for row, pad in zip(range(6, len(wanted), 4), pads, strict=True):
         edges = _edges(pad.normal, up, pad_friction)
@@ -69,9 +75,9 @@ def least_shear(
         wanted[:6] += _wrenches(pad.center_m - middle_m, pad.force_n[None])[0]
         wanted[3:6] += pad.moment_n_m / TORSION_ARM_M * closing_axis
         wanted[row] = pad.force_n @ closing_axis
-    for place_m in table_m:
+    for place_m in table.places_m:
         wrench = np.zeros((EDGES, len(wanted)))
-        edges = _edges(up, closing_axis, table_friction)
+        edges = _edges(up, closing_axis, table.friction)
         wrench[:, :6] = _wrenches(place_m - middle_m, edges)
         columns.append(wrench)
     weight = np.ones(len(wanted))

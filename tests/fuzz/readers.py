@@ -245,7 +245,7 @@ def _make_sensor(folder: Path) -> Path:
 
 
 def _read_sensor(path: Path) -> object:
-    from tacgen.sensor.description import load_sensor
+    from tacgen.core.sensors import load_sensor
 
     return load_sensor(str(path))
 
