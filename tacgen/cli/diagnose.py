@@ -113,6 +113,39 @@ def _propose_presses(diagnosis: "Diagnosis", rig: "RigRecipe", count: int, path:
     )
 
 
+@common.diagnose_app.command("presses")
+def diagnose_presses_command(
+    session: Annotated[
+        Path,
+        Argument(
+            help="Folder of a session: press images with presses.csv, press_log.csv, or both, as "
+            "`tacgen rig` leaves it.",
+            exists=True,
+            file_okay=False,
+        ),
+    ],
+    out: Annotated[Path, Option(help="Folder for diagnosis.json, report.html and each part.")],
+    mm_per_px: common.MmPerPxOption = None,
+    ball_radius_mm: common.BallRadiusOption = None,
+    sensor: Annotated[
+        str | None, Option(help="Of the dots in markers.csv: the sensor's name or YAML file.")
+    ] = None,
+    force: common.ForceFlag = False,
+    json_output: common.JsonFlag = False,
+) -> None:
+    """Diagnose all that a session of presses holds, pictures and forces, on one page."""
+    from tacgen.diagnose.session import CHANNELS, diagnose_session
+
+    refuse_existing(force, out / "diagnosis.json")
+    record = diagnose_session(
+        session, out, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm, sensor=sensor
+    )
+    common.note(record["notes"])
+    sentences = [f"{CHANNELS[name]}: {one['sentence']}" for name, one in record["channels"].items()]
+    common.print_result(record, sentences, json_output)
+    common.hand_over(f"the page: {out / 'report.html'}")
+
+
 @common.diagnose_app.command("optics")
 def diagnose_optics(
     presses: common.PressesArgument,

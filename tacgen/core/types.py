@@ -89,6 +89,15 @@ def inverse(matrix: Pose) -> Pose:
     return pose(rotation, -rotation @ matrix[:3, 3])
 
 
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """The cross products (..., 3) of two arrays (..., 3).
+
+    As numpy's to the last bit, without its search for axes, which takes a tenth of a millisecond.
+    """
+    yzx, zxy = [1, 2, 0], [2, 0, 1]
+    return a.take(yzx, -1) * b.take(zxy, -1) - a.take(zxy, -1) * b.take(yzx, -1)
+
+
 def rotation_about_z(angle_rad: float) -> FloatArray:
     """The (3, 3) rotation about z."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from tacgen.core.engine_contacts import ContactPoint
 from tacgen.core.records import PADS, ContactFrame, frozen_array
-from tacgen.core.types import MM_PER_M, FloatArray, Pose, inverse, pose, rotation_of
+from tacgen.core.types import MM_PER_M, FloatArray, Pose, cross, inverse, pose, rotation_of
 from tacgen.physics.engine import TABLE, Touch
 from tacgen.physics.gripper import Pad
 from tacgen.physics.standing import NEAR_TABLE_M, PadLoad, Table, least_shear, outermost
@@ -220,7 +220,7 @@ def _pad_loads(window: Sequence[Snapshot], bodies: Bodies) -> dict[str, PadLoad]
         normal_n = float(own.normal_force_n.sum())
         if normal_n > 0:
             center_m = own.normal_force_n @ own.point_m / normal_n
-            moment = np.cross(own.point_m - center_m, own.force_n).sum(axis=0)
+            moment = cross(own.point_m - center_m, own.force_n).sum(axis=0)
             loads[pad] = PadLoad(
                 center_m=center_m,
                 normal=own.normal_force_n @ own.normal / normal_n,
@@ -261,11 +261,11 @@ def _spinning_moments_n_m(
     total = sum(normals.values())
     if total <= 0:
         return dict.fromkeys(normals, 0.0)
-    reported = np.cross(contacts.point_m - center, contacts.force_n).sum(axis=0)
+    reported = cross(contacts.point_m - center, contacts.force_n).sum(axis=0)
     rotation = rotation_of(last.object_quaternion)
     inertia = rotation @ np.diag(bodies.principal_moments_kg_m2) @ rotation.T
     omega = np.array(last.object_angular_velocity)
-    needed = np.cross(omega, inertia @ omega)
+    needed = cross(omega, inertia @ omega)
     if len(window) > 1:
         span_s = (last.step - window[0].step) * bodies.time_step_s
         needed += inertia @ (omega - np.array(window[0].object_angular_velocity)) / span_s

@@ -8,7 +8,13 @@ import numpy as np
 
 from tacgen.core.compiled import njit
 from tacgen.core.records import ContactPatch, SlipMargin, frozen_array
-from tacgen.core.types import MM_PER_M, PUBLISHED_K_N_MM3_PER_N, STANDARD_GRAVITY_M_S2, FloatArray
+from tacgen.core.types import (
+    MM_PER_M,
+    PUBLISHED_K_N_MM3_PER_N,
+    STANDARD_GRAVITY_M_S2,
+    FloatArray,
+    cross,
+)
 from tacgen.physics.contacts import Contacts
 
 TorsionLimit = Callable[[float], float]
@@ -158,7 +164,7 @@ def grasp_capacity(
 
     center = (forces @ points) / total_n
     lever = center_of_mass_m - center
-    moment = np.cross(lever, -weight_n * up) + np.cross(points - center, pushes).sum(axis=0)
+    moment = cross(lever, -weight_n * up) + cross(points - center, pushes).sum(axis=0)
     along_n_m = float(moment @ closing_axis)
     # The mean over the turn is the moment half-way, where a mass below the pads has come nearer.
     above_m = lever[2] - closing_axis[2] * (lever @ closing_axis)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tacgen.core.types import M_PER_MM, FloatArray
+from tacgen.core.types import M_PER_MM, FloatArray, cross
 
 NEAR_TABLE_M = 5e-5  # by which a solver lets an object rise that stands between the fingers
 EDGES = 8  # of a pyramid around a friction cone, 8 % wider at most
@@ -67,7 +67,7 @@ def least_shear(
         wrench = np.zeros((EDGES + 2, len(wanted)))
         wrench[:EDGES, :6] = _wrenches(pad.center_m - middle_m, edges)
         wrench[:EDGES, row] = edges @ closing_axis
-        wrench[:EDGES, row + 1 : row + 3] = edges @ np.stack([up, np.cross(closing_axis, up)], -1)
+        wrench[:EDGES, row + 1 : row + 3] = edges @ np.stack([up, cross(closing_axis, up)], -1)
         wrench[EDGES:, 3:6] = np.outer([1.0, -1.0], closing_axis)
         wrench[EDGES:, row + 3] = 1.0, -1.0
         columns.append(wrench)
@@ -97,7 +97,7 @@ def least_shear(
 def outermost(points_m: FloatArray, closing_axis: FloatArray) -> FloatArray:
     """Those of the points (n, 3) that are farthest in one of eight horizontal directions."""
     angle = np.arange(8) * (np.pi / 4)
-    beside = np.cross([0.0, 0.0, 1.0], closing_axis)
+    beside = cross(np.array([0.0, 0.0, 1.0]), closing_axis)
     ways = np.outer(np.cos(angle), closing_axis) + np.outer(np.sin(angle), beside)
     found: FloatArray = points_m[np.unique(np.argmax(points_m @ ways.T, axis=0))]
     return found
@@ -108,7 +108,7 @@ def _edges(normal: FloatArray, beside: FloatArray, friction: float) -> FloatArra
     normal = normal / np.linalg.norm(normal)
     first = beside - (beside @ normal) * normal
     first /= np.linalg.norm(first)
-    second = np.cross(normal, first)
+    second = cross(normal, first)
     angle = (np.arange(EDGES) + 0.5) * (2 * np.pi / EDGES)
     wide = friction / np.cos(np.pi / EDGES)
     around = np.outer(np.cos(angle), first) + np.outer(np.sin(angle), second)
@@ -117,4 +117,4 @@ def _edges(normal: FloatArray, beside: FloatArray, friction: float) -> FloatArra
 
 def _wrenches(arm_m: FloatArray, forces_n: FloatArray) -> FloatArray:
     """Forces (n, 3) and their moments over ``TORSION_ARM_M``, (n, 6)."""
-    return np.hstack([forces_n, np.cross(arm_m, forces_n) / TORSION_ARM_M])
+    return np.hstack([forces_n, cross(arm_m, forces_n) / TORSION_ARM_M])

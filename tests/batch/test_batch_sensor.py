@@ -8,7 +8,7 @@ import pytest
 import trimesh
 
 import tacgen
-from tacgen.collection.bench import batch_figures
+from tacgen.cli.bench import batch_figures
 from tacgen.contact import gap_map, solve_indentation
 from tacgen.contact.gel_response import GelCourse, gel_loads
 from tacgen.contact.law import ContactLaw, FittedEffect

@@ -14,6 +14,7 @@ from tacgen.core.types import (
     STANDARD_GRAVITY_M_S2,
     FloatArray,
     IntArray,
+    cross,
     pose,
     quaternion_from_rotation,
     rotation_of,
@@ -256,7 +257,7 @@ class ObjectBody:
         # The spin is in the object's axes.
         linear, spin = self._data.qvel[self._speed : self._speed + 6].reshape(2, 3)
         rotation = self._pose()[:3, :3]
-        linear = linear + rotation @ np.cross(spin, self.inertial[:3, 3])
+        linear = linear + rotation @ cross(spin, self.inertial[:3, 3])
         return tuple(linear.tolist()), tuple((rotation @ spin).tolist())
 
     def keep_place(self) -> None:
