@@ -1,6 +1,5 @@
 """Commands that calibrate a sensor, and the virtual rig that simulates presses for them."""
 
-import math
 from pathlib import Path
 from typing import Annotated
 
@@ -234,18 +233,15 @@ def calibrate_contact(
 
     With marker tracks also friction and decay of the gel's shear field.
     """
+    from tacgen.calibrate.contact.command import LogSource, result_text
     from tacgen.calibrate.contact.command import calibrate_contact as calibrate
-    from tacgen.calibrate.contact.command import result_text
     from tacgen.presses.lab_table import LogFormat
 
     log_format = LogFormat.of_options(column or [], flip or [], force_unit)
     measured = out.with_suffix(".csv") if log.is_dir() else log
     refuse_existing(force, out, *([measured] if measured != log else []))
-    result = calibrate(
-        log, out, report, by=by, contact_point=contact_point, log_format=log_format,
-        marker_pitch_mm=math.nan if marker_pitch_mm is None else marker_pitch_mm,
-        radius_mm=radius_mm, table=table, markers=markers, sensor=sensor,
-    )  # fmt: skip
+    source = LogSource(log, log_format, radius_mm, table, marker_pitch_mm, markers, sensor)
+    result = calibrate(source, out, report, by=by, contact_point=contact_point)
     common.warn(result.warnings)
     typer.echo(result_text(result, json_output=json_output))
     options = [] if measured != log else log_format.arguments

@@ -1,7 +1,6 @@
 """Commands that find effects missing from the contact law, the lookup table or the grasps."""
 
 import json
-import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -55,6 +54,7 @@ def diagnose_contact(
     json_output: common.JsonFlag = False,
 ) -> None:
     """Extend the linear contact law by the effects that a press log supports."""
+    from tacgen.calibrate.contact.command import LogSource
     from tacgen.diagnose.contact.command import diagnose_log
     from tacgen.diagnose.contact.result import diagnosis_record
     from tacgen.presses.lab_table import LogFormat
@@ -66,11 +66,8 @@ def diagnose_contact(
         from tacgen.rig import load_rig_recipe
 
         loaded_rig = load_rig_recipe(rig)
-    pitch_mm = math.nan if marker_pitch_mm is None else marker_pitch_mm
-    diagnosis = diagnose_log(
-        log, out, marker_pitch_mm=pitch_mm, log_format=log_format, radius_mm=radius_mm, table=table,
-        markers=markers, sensor=sensor,
-    )  # fmt: skip
+    source = LogSource(log, log_format, radius_mm, table, marker_pitch_mm, markers, sensor)
+    diagnosis = diagnose_log(source, out)
     common.note(diagnosis.notes)
     if grasp is not None:
         from tacgen.collection.recipe import load_recipe

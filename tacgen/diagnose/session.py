@@ -7,6 +7,7 @@ from typing import Any
 
 import pandas as pd
 
+from tacgen.calibrate.contact.command import LogSource
 from tacgen.core.errors import PressError
 from tacgen.core.files import refuse_other_page
 from tacgen.diagnose.contact.command import diagnose_log
@@ -100,14 +101,14 @@ def diagnose_session(
     if session.markers is not None and sensor is None:
         notes.append(f"{session.markers} is left out: name the sensor of its dots with --sensor")
     if session.log is not None:
-        contact = diagnose_log(
+        source = LogSource(
             session.log,
-            out / "contact",
             radius_mm=ball_radius_mm,
             table=table if session.log.is_dir() else None,
             markers=session.markers if sensor else None,
             sensor=sensor,
         )
+        contact = diagnose_log(source, out / "contact")
         found = contact_record(contact)
         channels |= found["channels"]
         notes += found["notes"]

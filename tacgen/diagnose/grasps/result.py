@@ -263,8 +263,7 @@ def diagnosis_record(
         diagnosis,
         effects=[_effect(diagnosis, cause, declared) for cause in diagnosis.found],
         unexplained=[{"covariate": d.covariate, "p_value": d.p_value} for d in remaining],
-        error_before=_error(diagnosis.rate_before, n),
-        error_after=_error(diagnosis.rate_after, n),
+        errors=(_error(diagnosis.rate_before, n), _error(diagnosis.rate_after, n)),
         noise_floor=(
             diagnosis.n_remaining / n,
             "labels that the simulation does not reproduce with the values found",
