@@ -22,7 +22,7 @@ from tacgen.collection.pipeline import GraspPipeline, tactile_pad
 from tacgen.collection.recipe import Recipe, load_recipe
 from tacgen.core.resources import object_folders
 from tacgen.core.sensors import SensorChoice
-from tacgen.objects.add import add_object
+from tacgen.objects.add import MeshFacts, add_object
 from tacgen.objects.showing import SENSORS
 from tacgen.optics.visible import VISIBLE, visible_share
 
@@ -78,7 +78,7 @@ def recipe_of(what: str, sample: int, sensor: str) -> Recipe:
 
 def imported(mesh: str, kg: str, scale: str = "1") -> str:
     """The name of the object that a mesh becomes."""
-    return add_object(Path(mesh), mass_kg=float(kg), scale=float(scale), force=True).object.name
+    return add_object(Path(mesh), MeshFacts(float(kg), scale=float(scale)), force=True).object.name
 
 
 def main() -> None:
