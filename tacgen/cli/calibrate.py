@@ -7,7 +7,6 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-import tacgen
 from tacgen.cli import common
 from tacgen.cli.common import quoted
 from tacgen.core.files import refuse_existing
@@ -176,9 +175,7 @@ def calibrate_export(
         from tacgen.core.sensors import SensorChoice, load_sensor
 
         choice = SensorChoice(name=sensor, dome_radius_mm=dome_radius_mm)
-        pad = export_mujoco(
-            tacgen.load_law(calibrated), load_sensor(choice, needs_table=False), out
-        )
+        pad = export_mujoco(calibrated, load_sensor(choice, needs_table=False), out)
         common.warn([f"left out: {', '.join(pad.left_out)}"] if pad.left_out else [])
         path = out / "pad.xml"
         common.print_result(
@@ -187,8 +184,9 @@ def calibrate_export(
         common.hand_over(f'mujoco.MjSpec.from_file("{path.resolve()}").body("pad")  # attach it')
         return
     from tacgen.calibrate.lookup.taxim_export import export_taxim
+    from tacgen.optics import load_table
 
-    loaded = tacgen.load_table(calibrated)
+    loaded = load_table(calibrated)
     loss = export_taxim(loaded, out, dome_radius_mm)
     if loaded.effects:
         common.warn([f"left out: {', '.join(loaded.effects)}, which Taxim's form has no place for"])
@@ -310,12 +308,13 @@ def read(
 ) -> None:
     """Read depth, contact, volume and force from images of a calibrated sensor."""
     from tacgen.core.safe_io import read_rgb
+    from tacgen.optics import load_table
     from tacgen.sensor.read_image import ImageReader, read_files, reading_line
     from tacgen.sensor.simulated import Sensor
 
     at_rest = None if background is None else read_rgb(background)
     # Of the sensor that took the pictures, which is that of the table.
-    geometry = tacgen.load_table(table).geometry if table else {}
+    geometry = load_table(table).geometry if table else {}
     scale, dome = (geometry.get(name) for name in ("mm_per_px", "dome_radius_mm"))
     known = Sensor(sensor, table, contact, mm_per_px=scale, dome_radius_mm=dome)
     if contact is None:

@@ -231,31 +231,16 @@ class GraspPipeline:
     def sample(self, planned: PlannedGrasp) -> GraspSample:
         """Simulate one grasp and render the images of its pads."""
         grasp = self.simulate(planned)
-        trace, frame = grasp.trace, grasp.trace.grasp_frame
-        executed = trace.status == "executed"
-        picture = None
-        if self.recipe.dataset.scene_pictures:
-            picture = self.picture(grasp)
+        trace, executed = grasp.trace, grasp.trace.status == "executed"
         return GraspSample(
+            **trace.outcome(),
             config=planned.config,
             seed=planned.seed,
             split=planned.split,
-            status=trace.status,
-            label=trace.label,
-            failure_mode=trace.failure_mode,
             pads=self.pad_samples(grasp) if executed else {},
             object_pose=trace.object_pose if executed else None,
-            rise_mm=trace.rise_mm,
-            turn_rad=trace.turn_rad,
-            margin=trace.margin,
             label_confidence=label_confidence(trace, grasp.grasped, self.recipe),
-            grasp_frame=frame,
-            grasp_time_s=trace.grasp_time_s,
-            lift_start_time_s=trace.lift_start_time_s,
-            lift_end_time_s=trace.lift_end_time_s,
-            outcome_time_s=trace.outcome_time_s,
-            picture=picture,
-            reason=trace.reason,
+            picture=self.picture(grasp) if self.recipe.dataset.scene_pictures else None,
             cameras=self.camera_samples(grasp) if executed else {},
         )
 

@@ -427,7 +427,6 @@ class StartedGrasp:
             config=self.config,
             status="executed",
             label=LABEL_NOT_EXECUTED,
-            failure_mode="",
             frames=outcome.frames_of(windows, self.bodies, pads, past),
             gel_steps=outcome.frames_of(steps, self.bodies, pads, past),
             object_pose=outcome.object_poses_mm(ends, self.bodies),
@@ -468,11 +467,8 @@ def not_executed(
         config=config,
         status=status,
         label=LABEL_NOT_EXECUTED,
-        failure_mode="",
         frames=dict.fromkeys(pads, ()),
         object_pose=frozen_array(np.zeros((0, 7))),
-        rise_mm=0.0,
-        turn_rad=0.0,
         reason=reason,
     )
 

@@ -19,6 +19,7 @@ import yaml
 from PIL import Image
 
 import tacgen
+from scripts.reference_background import with_reference
 from tacgen.contact.gel import gel_map_mm
 from tacgen.core.resources import packaged
 from tacgen.core.sensors import load_sensor
@@ -28,7 +29,7 @@ from tacgen.learning.train import train
 from tacgen.learning.training_recipe import load_train_recipe
 from tacgen.optics.table import save_table
 from tacgen.optics.virtual_sensor import Paint, VirtualSensor
-from validation.optics.sampled_table import sampled_table, with_reference
+from validation.optics.sampled_table import sampled_table
 
 NOISE_GREY = 2.0
 SENSORS = {
