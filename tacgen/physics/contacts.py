@@ -257,7 +257,8 @@ def _spinning_moments_n_m(
     last = window[-1]
     axis = gripper_pose(last)[:3, 0]
     center = np.array(last.object_position_m)
-    normals = {pad: float(contacts.of(pad).normal_force_n.sum()) for pad in bodies.pads}
+    pushes_n = contacts.normal_force_n
+    normals = {pad: float(pushes_n[contacts.part == pad].sum()) for pad in bodies.pads}
     total = sum(normals.values())
     if total <= 0:
         return dict.fromkeys(normals, 0.0)

@@ -33,6 +33,7 @@ from tacgen.presses.lab_table import (
     FORCE_UNITS_N,
     LogFormat,
     LogTable,
+    clock_gaps,
     parsed,
     read_log_table,
     split_header,
@@ -324,6 +325,7 @@ def value_problems(table: LogTable) -> list[str]:
     if known.sum() > 2:
         low, high = np.percentile(values[known], (1.0, 99.0))
         is_far = low > LOG.position_share * high and high > LOG.position_mm
+        is_far &= high - low > LOG.plausible_depths_mm[0]  # a depth that is held moves by less
         if response == "depth_mm" and is_far:
             return [
                 f"{path}: depth_mm lies between {low:.4g} and {high:.4g}, like a stage's position: "
@@ -338,7 +340,9 @@ def value_problems(table: LogTable) -> list[str]:
                 f"{path}: {response} is negative in contact (down to {low:.3g}); flip the sign: "
                 f"--flip {short}"
             )
-        if max(inside, outside, key=abs) < -LOG.sign_correlation:
+        # Of holds alone no zero is seen: a force may sag as the gel gives way.
+        is_hold = load.min() > 0 and low > LOG.rest_volume_share * high
+        if max(inside, outside, key=abs) < -LOG.sign_correlation and not is_hold:
             problems.append(
                 f"{path}: force_normal_n is negative in contact (down to {load.min():.3g} N); flip "
                 "the sign: --flip force"
@@ -581,8 +585,8 @@ def _peaks_and_compliances(
 ) -> tuple[FloatArray, FloatArray]:
     """Peak force of each block, and its volume per force there; NaN where nothing is known.
 
-    Both are counted from the block's least load, where that is much less than its peak: a gauge
-    that was not tared is no other unit.
+    Both are counted from the block's least load, where the gel is at rest there: a gauge that was
+    not tared is no other unit. In a hold it is not: the force falls at one volume, or stays.
     """
     peak, compliance = np.full(len(blocks), np.nan), np.full(len(blocks), np.nan)
     for index, block in enumerate(blocks):
@@ -594,9 +598,12 @@ def _peaks_and_compliances(
         peak[index] = force.max()
         rest = force <= np.quantile(force, LOG.rest_share)
         zero = np.array([np.median(force[rest]), np.median(volume[rest])])
-        if zero[0] > LOG.held_share * peak[index] and zero[1] > LOG.held_share * volume.max():
-            zero = np.zeros(2)
         loaded = force - zero[0] >= 0.5 * (force.max() - zero[0])
+        least = LOG.rest_volume_share * volume.max()
+        is_force_held = zero[0] > LOG.held_share * peak[index] and zero[1] > least
+        if is_force_held or np.median(volume[loaded]) - zero[1] < least:
+            zero = np.zeros(2)
+            loaded = force >= 0.5 * force.max()
         load = np.median(force[loaded]) - zero[0]
         if load > 0:
             compliance[index] = (np.median(volume[loaded]) - zero[1]) / load
@@ -630,8 +637,7 @@ def _clock_goes_back(found: _Findings, block: IntArray) -> str:
     if back.size:
         more = f" and {back.size - 1} more" if back.size > 1 else ""
         return f"time_s goes backwards at row {found.rows[kept[back[0] + 1]]}{more}"
-    usual = np.median(steps[steps > 0]) if (steps > 0).any() else np.inf
-    gaps = np.flatnonzero(steps > LOG.gap_factor * usual)
+    gaps = np.flatnonzero(clock_gaps(steps))
     if gaps.size:
         found.warn(
             f"row {found.rows[kept[gaps[0] + 1]]}: trial {found.trial(block)}: the clock jumps by "
@@ -657,9 +663,18 @@ def _number_is_taken(found: _Findings, block: IntArray) -> str:
 
 
 def _constant_force(found: _Findings, block: IntArray) -> str:
-    force = found.columns["force_normal_n"][found.kept(block)]
-    is_constant = len(force) > 1 and np.ptp(force) == 0.0
-    return f"the force never changes ({force[0]:g} N)" if is_constant else ""
+    force, volume = (found.columns[name][found.kept(block)] for name in REQUIRED[2:])
+    if len(force) < 2 or np.ptp(force) != 0.0:
+        return ""
+    what = f"the force never changes ({force[0]:g} N)"
+    is_pressed = min(np.median(volume), volume[-1]) > 0.5 * volume.max()
+    if not (force[0] > 0 and is_pressed):
+        return what
+    found.warn(
+        f"row {found.rows[block[0]]}: trial {found.trial(block)}: {what}: read as a load that is "
+        "held; if it was not, check the gauge"
+    )
+    return ""
 
 
 def _no_force(found: _Findings, block: IntArray) -> str:

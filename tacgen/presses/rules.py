@@ -55,7 +55,9 @@ class LogRules:
     sign_correlation: float = 0.5  # of force and size of the response: below its negative, the
     # sign is wrong
     rest_share: float = 0.05  # those with the least force: at rest
-    held_share: float = 0.7  # of the peaks: above it, the least force and volume are of a hold
+    held_share: float = 0.7  # of the peak: above it, the least force is of a hold
+    rest_volume_share: float = 0.1  # of the largest volume or depth: one that falls by less with
+    # the force is held, and one that is never less is not at rest
     outlier_factor: float = 8.0  # times softer or stiffer than the median press: another unit; kgf
     # for newtons are 9.8 times less
 

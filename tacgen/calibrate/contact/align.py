@@ -578,15 +578,18 @@ def n_balls(log: PressLog) -> int:
 
 
 def _is_unloaded(log: PressLog, trial: int) -> bool:
-    force = log["force_normal_n"][log["trial"] == trial]
-    return len(force) > 2 and bool(force[np.argmax(force) :].min() < 0.5 * force.max())
+    rows = log["trial"] == trial
+    if rows.sum() < 3:
+        return False
+    courses = log["force_normal_n"][rows], log["volume_mm3"][rows]
+    return all(bool(one[np.argmax(one) :].min() < 0.5 * one.max()) for one in courses)
 
 
 def _is_held(log: PressLog, trial: int) -> bool:
     rows = log["trial"] == trial
-    force, time_s = log["force_normal_n"][rows], log["time_s"][rows]
-    held = force > 0.9 * force.max()
-    return bool(held.any() and np.ptp(time_s[held]) >= ALIGN.hold_s)
+    courses, time_s = (log["force_normal_n"][rows], log["volume_mm3"][rows]), log["time_s"][rows]
+    held = [one > 0.9 * one.max() for one in courses if one.max() > 0]
+    return any(bool(np.ptp(time_s[one]) >= ALIGN.hold_s) for one in held)
 
 
 def _has_places(log: PressLog) -> bool:
