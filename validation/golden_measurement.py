@@ -144,7 +144,7 @@ def grasps() -> dict[str, str]:
     """``diagnosis.json`` of grasps of a box whose centre of mass is off."""
     import pandas as pd
 
-    from tacgen.collection.perturbed import Perturbation, place_of, simulate_perturbed
+    from tacgen.collection.perturbed import Perturbation, simulate_perturbed
     from tacgen.collection.recipe import Recipe
     from tacgen.core.records import GraspConfig
     from tacgen.dataset.real_grasps import read_real_grasps
@@ -171,7 +171,7 @@ def grasps() -> dict[str, str]:
         folder = Path(name)
         found = simulate_perturbed(recipe, [(c, world) for c in configs], folder / "w", workers=1)
         rows = [
-            (f"g{c.index}", GRASPS_BOX, c.force_n, 0, c.y_mm, c.z_mm, found[place_of(c), world])
+            (f"g{c.index}", GRASPS_BOX, c.force_n, 0, c.y_mm, c.z_mm, found[c.point, world])
             for c in configs
         ]
         columns = ["grasp_id", "object", "force_n", "x_mm", "y_mm", "z_mm", "label"]

@@ -46,6 +46,12 @@ def rng_of(seed: int, *key: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
+AXES = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
+"""What a gripper is asked to do with an object."""
+GraspPoint = tuple[str, float, float, float, float, float]
+"""What identifies a grasp: its object and the values of ``AXES``."""
+
+
 @dataclass(frozen=True, slots=True)
 class GraspConfig:
     """One point of the grid: what the gripper is asked to do.
@@ -63,6 +69,11 @@ class GraspConfig:
     y_mm: float
     z_mm: float
     yaw_rad: float = 0.0
+
+    @property
+    def point(self) -> GraspPoint:
+        """The configuration without its number."""
+        return self.object, self.force_n, self.x_mm, self.y_mm, self.z_mm, self.yaw_rad
 
 
 @dataclass(frozen=True, slots=True)

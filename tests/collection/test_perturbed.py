@@ -10,7 +10,6 @@ from tacgen.collection.perturbed import (
     Perturbation,
     perturbed_entry,
     perturbed_object,
-    place_of,
     recipe_object,
     simulate_perturbed,
 )
@@ -50,7 +49,7 @@ def simulated(tmp_path_factory):
     wanted = [(place, change) for place in places.values() for change in perturbations.values()]
     found = simulate_perturbed(RECIPE, wanted, out, workers=1)
     by_name = {
-        (where, what): found[place_of(place), change]
+        (where, what): found[place.point, change]
         for where, place in places.items()
         for what, change in perturbations.items()
     }
@@ -112,7 +111,7 @@ def test_an_object_held_in_its_middle_needs_half_its_load_over_mu(tmp_path, adde
     found = simulate_perturbed(
         recipe, [(place, Perturbation()) for place in places], tmp_path, workers=1
     )
-    assert [found[place_of(place), Perturbation()].label for place in places] == [0, 1]
+    assert [found[place.point, Perturbation()].label for place in places] == [0, 1]
 
 
 @pytest.mark.slow
