@@ -86,11 +86,6 @@ def dome_stiffness_n_mm2(dome_radius_mm: float) -> float:
     return STIFFER_THAN_GEL * np.pi * dome_radius_mm / PUBLISHED_K_N_MM3_PER_N
 
 
-def torsion_arm_mm(patch: ContactPatch, friction_share: float = 0.0) -> float:
-    """``torsion_limit`` of a patch at one share of its friction, mm."""
-    return torsion_limit(patch)(friction_share)
-
-
 def torsion_limit(patch: ContactPatch) -> TorsionLimit:
     """Largest moment of a sliding patch about its normal, over friction times normal force, mm.
 

@@ -230,11 +230,14 @@ def ball_of(part: Mesh) -> tuple[FloatArray, float] | None:
 def _hull_around(parts: Sequence[Mesh]) -> Mesh:
     from scipy.spatial import ConvexHull  # slow to import, and most objects do not need it
 
-    vertices_mm = np.concatenate([part.vertices_mm for part in parts])
-    hull = ConvexHull(vertices_mm)
-    renumbered = np.full(len(vertices_mm), -1, dtype=np.int32)
-    renumbered[hull.vertices] = np.arange(len(hull.vertices), dtype=np.int32)
-    return Mesh(vertices_mm[hull.vertices], renumbered[hull.simplices])
+    return mesh_of_hull(ConvexHull(np.concatenate([part.vertices_mm for part in parts])))
+
+
+def mesh_of_hull(hull: Any) -> Mesh:
+    """The mesh of scipy's ``ConvexHull``; its faces are not turned the same way."""
+    numbers = np.full(len(hull.points), -1, dtype=np.int32)
+    numbers[hull.vertices] = np.arange(len(hull.vertices), dtype=np.int32)
+    return Mesh(hull.points[hull.vertices], numbers[hull.simplices])
 
 
 def _wavefront(parts: Sequence[Mesh]) -> str:
