@@ -16,12 +16,12 @@ from scipy.optimize import least_squares
 from scipy.special import stdtrit
 
 from tacgen.calibrate.contact.rules import FIELD
+from tacgen.contact.ball_shear import STICKS, BallShear, Place
 from tacgen.contact.noise import noise_of, second_differences
 from tacgen.core.errors import PressError
 from tacgen.core.records import Estimate, Sensor
 from tacgen.core.sensors import load_sensor
 from tacgen.core.types import BoolArray, FloatArray, IntArray
-from tacgen.presses.ball_shear import STICKS, BallShear, Place
 from tacgen.presses.marker_tracks import (
     AT_REST,
     AXES,
