@@ -16,7 +16,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
+from tacgen.contact.noise import sample_noise
 from tacgen.core.errors import PressError
 from tacgen.core.files import sha256_of
 from tacgen.core.records import PRESS_LOG, frozen_array, similar_columns
@@ -187,6 +189,9 @@ def press_log_of(table: LogTable, *, radius_mm: float | None = None) -> PressLog
     if "time_s" in table.headers and "time_s" not in table.sure:
         notes += _check_clock_unit(table, columns)
     of_depths, rows = "volume_mm3" not in columns, table.cells.index.to_numpy()[order]
+    if of_depths:
+        columns["depth_mm"], found = _from_contact(columns)
+        notes += [f"{path}: {note}" for note in found]
     columns, is_known, filled = _with_ball_volumes(columns, radius_mm)
     if is_known and filled.any():
         _check_ball({name: values[filled] for name, values in columns.items()}, path)
@@ -248,6 +253,63 @@ def _with_presses(table: LogTable) -> LogTable:
     added = [name for name in ("trial", "time_s") if name not in cells]
     cells = pd.DataFrame({name: numbers[name] for name in added}, cells.index).join(cells)
     return replace(table, cells=cells, numbers=numbers, notes=tuple(notes))
+
+
+def _from_contact(columns: Columns) -> tuple[FloatArray, list[str]]:
+    """``depth_mm`` (N,) counted from where the force begins, in presses that count an approach."""
+    depth, blocks = columns["depth_mm"], _trial_blocks(columns["trial"])
+    contact = np.array([_contact_depth(depth[b], columns["force_normal_n"][b]) for b in blocks])
+    seen = np.isfinite(contact)
+    deepest = np.array([depth[b].max() for b, one in zip(blocks, seen, strict=True) if one])
+    way = contact[seen]
+    if 2 * seen.sum() < len(blocks) or np.median(way / (deepest - way)) < LOG.least_approach_share:
+        return depth, []
+    note = (
+        f"depth_mm grows by {np.median(way):.3g} mm (median of {len(way)} presses) before there is "
+        "a force: depths are counted from there"
+    )
+    return depth - np.repeat(np.where(seen, contact, 0.0), [len(b) for b in blocks]), [note]
+
+
+def _contact_depth(depth_mm: FloatArray, force_n: FloatArray) -> float:
+    """The depth at which a press (N,) begins to have a force; NaN where no approach is seen.
+
+    Within noise of the first rows, force is none; beyond, it is F₀ + c (d − d₀)^p, whatever the
+    indenter and the law, up to a share of its peak.
+    """
+    known = np.flatnonzero(np.isfinite(depth_mm) & np.isfinite(force_n))
+    if known.size <= 2 * LOG.least_approach_rows:
+        return math.nan
+    known = known[: int(np.argmax(depth_mm[known])) + 1]
+    depth, force = depth_mm[known], force_n[known]
+    if depth.size <= 2 * LOG.least_approach_rows:
+        return math.nan
+    noise = sample_noise(force[:, None], np.array([0, force.size]))
+    first = np.arange(force.size) < LOG.least_approach_rows
+    for _ in range(3):
+        zero = float(np.median(force[first]))
+        reach = LOG.approach_sigmas * noise + 1e-9 * float(np.ptp(force))
+        near = np.flatnonzero(np.abs(force - zero) <= reach)
+        touch = int(near[-1]) + 1 if near.size else 0
+        first = np.arange(force.size) < max(touch, LOG.least_approach_rows)
+    peak = float(force.max()) - zero
+    if touch < LOG.least_approach_rows or peak < 2.0 * reach or touch >= force.size:
+        return math.nan
+    stop = int(np.argmax(force - zero > LOG.onset_share * peak))
+    width = max(depth[stop] - depth[touch - 1], 1e-9)
+    rows = (depth > depth[touch - 1] - 2.0 * width) & (np.arange(force.size) <= stop)
+    if depth[touch - 1] - depth[0] < 0.5 * width or rows.sum() < LOG.least_approach_rows:
+        return math.nan
+
+    def misfit(at: FloatArray) -> FloatArray:
+        shape = np.maximum(depth[rows] - at[0], 0.0) ** at[1]
+        load = force[rows] - zero
+        return np.asarray(load - shape * (shape @ load) / max(float(shape @ shape), 1e-300))
+
+    low, high = depth[touch - 1] - width, depth[stop] - 1e-3 * width
+    start = [depth[touch - 1], 1.5]
+    found = least_squares(misfit, start, bounds=([low, 1.0], [high, 3.0]), x_scale=[width, 1.0])
+    return float(found.x[0])
 
 
 def _with_ball_volumes(

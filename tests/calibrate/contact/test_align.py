@@ -273,3 +273,46 @@ def test_both_commands_print_the_same_figures_of_one_file(tmp_path):
         for name in ("rmse", "nrmse"):
             own = pytest.approx(calibrated["held_out"][name], rel=0.15)
             assert diagnosed["error_before"][name] == own
+
+
+def approached(approach_mm: float, power: float, n_presses: int) -> pd.DataFrame:
+    """Presses to 1 mm in steps of 10 µm whose depth counts from where the stage set out.
+
+    With a ``power`` of 2 V = k_n F holds, with 1.5 Hertz's law.
+    """
+    rng, parts = np.random.default_rng(2), []
+    for trial in range(n_presses):
+        way = np.arange(-approach_mm * (1.0 + 0.1 * trial), 1.0, 0.01)
+        depth = np.maximum(way, 0.0)
+        force = ball_volume_mm3(depth, 2.5) / 0.28 if power == 2 else 10.0 * depth**power
+        force = force + 0.003 * rng.standard_normal(way.size)
+        time_s = 1000.0 * trial + 0.1 * np.arange(way.size)
+        columns = {"time_s": time_s, "force_normal_n": force, "depth_mm": way - way[0]}
+        parts.append(pd.DataFrame(columns).assign(trial=trial, radius_mm=2.5))
+    return pd.concat(parts, ignore_index=True)
+
+
+@pytest.mark.parametrize("n_presses", [1, 4])
+@pytest.mark.parametrize("approach_mm", [0.0, 0.3, 3.0, 30.0])
+def test_rows_before_contact_do_not_weigh_in(tmp_path, approach_mm, n_presses):
+    found = fit_contact(read(approached(approach_mm, 2, n_presses), tmp_path)).normal.pooled
+    assert found.value == pytest.approx(0.28, rel=1e-3)
+    assert abs(found.value - 0.28) < 4.0 * found.stderr
+
+
+def test_a_long_approach_changes_no_law_of_another_power(tmp_path):
+    fits = [fit_contact(read(approached(mm, 1.5, 4), tmp_path)).normal for mm in (0.3, 3.0, 30.0)]
+    values = [fit.pooled.value for fit in fits]
+    assert values == pytest.approx([values[0]] * 3, rel=0.02)
+
+
+def test_a_measured_approach_changes_no_law(measured_data, tmp_path):
+    """Steel ball on three soft samples, depth counted from where the stage set out."""
+    log = pd.read_csv(measured_data / "asmi_ball_indentation" / "press_log.csv")
+    way = log.groupby("trial")["z_mm"].transform("first") - log["z_mm"]
+    touching = log["depth_mm"] > 0
+    contact = (way - log["depth_mm"])[touching].groupby(log["trial"]).min()
+    before = log["trial"].map(contact) - way
+    log = log.assign(depth_mm=way, radius_mm=2.5).drop(columns="volume_mm3")
+    values = [fit_contact(read(log[before <= mm], tmp_path)).normal.pooled.value for mm in (1, 99)]
+    assert values == pytest.approx([0.285, 0.285], abs=0.01)
