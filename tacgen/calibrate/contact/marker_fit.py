@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.optimize import least_squares
-from scipy.special import stdtrit
 
 from tacgen.calibrate.contact.rules import FIELD
+from tacgen.calibrate.contact.slope_fit import clustered, widened
 from tacgen.contact.ball_shear import STICKS, BallShear, Place
 from tacgen.contact.noise import noise_of, second_differences
 from tacgen.core.errors import PressError
@@ -399,16 +399,13 @@ def refined(
 
     ``names`` as of ``fit_slip``. Returns the parameters after the step, the linear ones, and the
     errors of both (``compliance``, ``dilation`` and ``names``) by the scatter between presses: a
-    1.96th of half a 95 % interval of Student's t, of as many degrees of freedom as there are
-    presses beyond parameters.
-
-    Source: Liang & Zeger 1986, the sandwich of clusters; CR1's factor.
+    1.96th of half a 95 % interval.
     """
     which = range(len(data.presses))
     linear = data.linear(grip, which)
     x0 = np.array([_get(grip, name) for name in names])
     steps = FIELD.step * _scales(names, x0)
-    bread, scores = np.zeros((2 + len(names),) * 2), []
+    breads, scores = [], []
     for index in which:
         columns, motion = data.rows(index, grip)
         slopes = []
@@ -418,16 +415,15 @@ def refined(
             up, down = (data.rows(index, one)[0] @ linear for one in ends)
             slopes.append((up - down) / (value + step - low))
         jacobian = np.column_stack([columns, *slopes])
-        bread += jacobian.T @ jacobian
+        breads.append(jacobian.T @ jacobian)
         scores.append(jacobian.T @ (motion - columns @ linear))
-    count, free = len(scores), max(len(scores) - bread.shape[0], 1)
-    inverse = np.linalg.pinv(bread, hermitian=True)
-    meat = np.stack(scores) @ inverse
-    covariance = meat.T @ meat * count / free
-    errors = np.sqrt(np.diag(covariance)) * float(stdtrit(free, 0.975)) / 1.96
+    covariance, freedom = clustered(np.stack(scores), np.stack(breads))
+    freedom = np.minimum(freedom, max(len(scores) - len(freedom), 1))
+    errors = np.sqrt(np.diag(covariance)) * widened(freedom)
     found = dict(zip(("compliance", "dilation", *names), errors.tolist(), strict=True))
+    step = np.linalg.pinv(np.sum(breads, axis=0), hermitian=True) @ np.sum(scores, axis=0)
     low_high = np.array([BOUNDS[name] for name in names]).T
-    moved = np.clip(x0 + meat.sum(axis=0)[2:], *low_high)
+    moved = np.clip(x0 + step[2:], *low_high)
     after = _with(grip, dict(zip(names, moved.tolist(), strict=True)))
     if (
         data.losses(after, data.linear(after, which), which).sum()

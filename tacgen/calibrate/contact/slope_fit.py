@@ -160,12 +160,54 @@ def _clustered_error(
     """Standard error of the slope, and its degrees of freedom."""
     if n_groups < 2:
         return np.nan, 0.0
-    bread = np.bincount(groups, instrument * regressor, n_groups)
+    bread: FloatArray = np.bincount(groups, instrument * regressor, n_groups).astype(np.float64)
     score: FloatArray = np.bincount(groups, instrument * influence, n_groups).astype(np.float64)
-    remaining = np.maximum(1.0 - bread / bread.sum(), RULES.min_remaining_leverage)
-    variance = float((score**2 / remaining).sum()) / bread.sum() ** 2
+    variance, _ = clustered(score[:, None], bread[:, None, None])
     dof = _degrees_of_freedom(instrument, influence, groups, n_groups, score)
-    return float(np.sqrt(variance)) * float(stdtrit(dof, 0.975)) / NORMAL_975, dof
+    return float(np.sqrt(variance[0, 0])) * widened(dof), dof
+
+
+def clustered(
+    scores: FloatArray, breads: FloatArray, prior: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Covariance (P, P) of parameters by the scatter of presses; and degrees of freedom (P,).
+
+    ``scores`` (G, P) are sums over each of G presses of the columns times the residual, ``breads``
+    (G, P, P) of the columns' products, ``prior`` (P, P) what else holds the parameters. A press's
+    score is enlarged by what the fit took of its own residual.
+
+    Source: CR2 and its degrees of freedom: Bell & McCaffrey 2002; Pustejovsky & Tipton 2018.
+    """
+    total = breads.sum(axis=0) + (0.0 if prior is None else prior)
+    size = np.sqrt(np.abs(np.diag(total)))
+    size = np.where(size > 0, size, 1.0)
+    values, vectors = np.linalg.eigh(total / np.outer(size, size))
+    kept = values > 1e-12 * np.abs(values).max()
+    root = vectors[:, kept] / np.sqrt(values[kept]) / size[:, None]  # R Rᵀ is the inverse
+    taken, axes = np.linalg.eigh(root.T @ breads @ root)
+    remaining = np.maximum(1.0 - taken, RULES.min_remaining_leverage)
+    own = np.einsum("gij,gi->gj", axes, scores @ root) / np.sqrt(remaining)
+    influence = np.einsum("gij,gj->gi", axes, own) @ root.T
+    inverse = root @ root.T
+    share = np.einsum("pi,gij,jp->gp", inverse, breads, inverse) / np.maximum(
+        np.diag(inverse), 1e-300
+    )
+    share = np.clip(share / np.maximum(share.sum(axis=0), 1e-300), 0.0, 1.0)
+    return influence.T @ influence, freedom_of(share)
+
+
+def freedom_of(share: FloatArray) -> FloatArray:
+    """Satterthwaite's degrees of freedom (P,) of sums to which presses give a ``share`` (G, P)."""
+    # Residuals of different presses share the fitted numbers: what each lends to the others.
+    lent = share**2 / np.maximum(1.0 - share, 1e-3)
+    spread = (share**2).sum(axis=0) + lent.sum(axis=0) ** 2 - (lent**2).sum(axis=0)
+    most = max(len(share) - 1, 1)
+    return np.asarray(np.clip(1.0 / np.maximum(spread, 1e-300), 1.0, most))
+
+
+def widened(dof: FloatArray | float) -> Any:
+    """By how much an error is stated wider, so that 1.96 of it are half of a 95 % interval."""
+    return stdtrit(dof, 0.975) / NORMAL_975
 
 
 def _degrees_of_freedom(
@@ -182,7 +224,4 @@ def _degrees_of_freedom(
     if total <= 0.0:
         return float(n_groups - 1)
     share = (own * power / power.sum() + (total - own) * power**2 / (power**2).sum()) / total
-    # Residuals of different presses share the fitted slope: what each lends to the others.
-    lent = share**2 / np.maximum(1.0 - share, 1e-3)
-    spread = (share**2).sum() + lent.sum() ** 2 - (lent**2).sum()
-    return float(np.clip(1.0 / spread, 1.0, n_groups - 1))
+    return float(freedom_of(share[:, None])[0])

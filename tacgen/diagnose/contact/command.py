@@ -219,7 +219,7 @@ class _Channel:
             final=final,
             linear=self._linear,
             volume_stderr_share=self._share,
-            final_errors=standard_errors(data, final),
+            final_errors=standard_errors(data, final, of_presses=True),
             before=before,
             after=after,
             scale=self._rms,

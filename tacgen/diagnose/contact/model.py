@@ -6,6 +6,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
+from tacgen.calibrate.contact.slope_fit import clustered, widened
 from tacgen.contact.effects import Effect, Variant
 from tacgen.contact.law import respond
 from tacgen.core.types import BoolArray, FloatArray
@@ -250,28 +251,37 @@ class StandardErrors:
     effects: Mapping[str, Mapping[str, float]]
 
 
-def standard_errors(data: ChannelData, fit: Fit) -> StandardErrors:
+def standard_errors(data: ChannelData, fit: Fit, *, of_presses: bool = False) -> StandardErrors:
     """Errors that hold for samples that are correlated within a trial (or part of one).
 
-    Where few trials determine a parameter these are too small: then those of independent rows. 0
-    for what the fit left as it was, since a bound holds it or nothing depends on it.
-    Source: Liang & Zeger 1986: the sandwich estimator over clusters, with Bell's n/(n − p) factor;
-    Angrist & Pischke 2009, Mostly Harmless Econometrics, § 8.1: the larger of both.
+    ``of_presses``: by the scatter of whole trials, where there are several; as of presses each with
+    a gain of its own. A 1.96th of half a 95 % interval then, whatever their number. Where few
+    trials determine a parameter these are too small: then those of independent rows. 0 for what the
+    fit left as it was, since a bound holds it or nothing depends on it.
+    Source: Angrist & Pischke 2009, Mostly Harmless Econometrics, § 8.1: the larger of both.
     """
     space = _Space(data, fit.model)
-    rows = np.repeat(data.row_unit, data.n_outputs)
-    products = fit.jacobian * fit.residual[:, None]
-    sums = np.stack([np.bincount(rows, column) for column in products.T], axis=1)
-    information = fit.jacobian.T @ fit.jacobian + fit.prior[:, :-1].T @ fit.prior[:, :-1]
+    whole = of_presses and data.history.n_trials > 1
+    unit = data.history.trial_index if whole else data.row_unit
+    rows = np.repeat(unit, data.n_outputs)
+    n_units, free = int(rows.max()) + 1, fit.jacobian.shape[1]
+    scores, breads = np.zeros((n_units, free)), np.zeros((n_units, free, free))
+    order = np.argsort(rows, kind="stable")
+    parts = np.split(order, np.flatnonzero(np.diff(rows[order])) + 1)
+    for part in parts:
+        own = fit.jacobian[part]
+        scores[rows[part[0]]], breads[rows[part[0]]] = own.T @ fit.residual[part], own.T @ own
+    prior = fit.prior[:, :-1].T @ fit.prior[:, :-1]
+    covariance, dof = clustered(scores, breads, prior)
+    information = breads.sum(axis=0) + prior
     size = np.sqrt(np.diag(information))
     is_known, size = size > 0, np.where(size > 0, size, 1.0)
     scale = np.outer(size, size)
     inverse = np.linalg.pinv(information / scale, rcond=1e-12, hermitian=True) / scale
-    factor = data.n_units / max(data.n_units - fit.jacobian.shape[1], 1)
-    covariance = factor * inverse @ (sums.T @ sums) @ inverse
-    independent = fit.loss / max(fit.residual.size - fit.jacobian.shape[1], 1) * inverse
-    variance = np.maximum(np.diag(covariance), np.diag(independent))
-    spread = np.sqrt(np.maximum(variance, 0.0) * is_known) * space.natural_scale(space.start)
+    independent = fit.loss / max(fit.residual.size - free, 1) * inverse
+    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0)) * (widened(dof) if whole else 1.0)
+    errors = np.maximum(errors, np.sqrt(np.maximum(np.diag(independent), 0.0)))
+    spread = errors * is_known * space.natural_scale(space.start)
     effects: dict[str, dict[str, float]] = {term.name: {} for term in fit.model.terms}
     for (index, name, *_), error in zip(space.slots, spread[1:], strict=False):
         effects[fit.model.terms[index].name][name] = float(error)
