@@ -104,6 +104,7 @@ def attributions() -> dict[str, str]:
 
 def contact_and_markers() -> dict[str, str]:
     """``diagnosis.json`` and ``contact.yaml`` of a log of the virtual rig with marker tracks."""
+    from tacgen.calibrate.contact.command import LogSource
     from tacgen.diagnose.contact.command import diagnose_log
     from tacgen.rig import load_rig_recipe, run_rig
     from tacgen.rig.rig_recipe import MarkerTracks
@@ -118,12 +119,9 @@ def contact_and_markers() -> dict[str, str]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         run_rig(recipe, folder)
-        diagnose_log(
-            folder / "press_log.csv",
-            folder / "out",
-            markers=folder / "markers.csv",
-            sensor="virtual_gelsight",
-        )
+        tracks, sensor = folder / "markers.csv", "virtual_gelsight"
+        source = LogSource(folder / "press_log.csv", markers=tracks, sensor=sensor)
+        diagnose_log(source, folder / "out")
         return {
             "diagnosis/contact": _record(folder / "out"),
             "diagnosis/law": _law(folder / "out" / "contact.yaml"),

@@ -13,15 +13,15 @@ from tacgen.collection.gel import contact_law, gel_patch, mounted_sensor
 from tacgen.collection.inputs import recipe_inputs
 from tacgen.collection.kept import kept_results
 from tacgen.collection.recipe import ObjectEntry, Randomize, Recipe
+from tacgen.contact.indenter import Indenter
 from tacgen.core.errors import DatasetError
 from tacgen.core.files import sha256_of_content
 from tacgen.core.processes import Report
 from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, Mesh, frozen_array
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.objects import load_object
-from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
+from tacgen.physics import FrameRequest, GelModel, GraspSimulator, PhysicsSettings, run_grasp
 from tacgen.physics.settings import force_problem
-from tacgen.sensor.tactile_pad import Indenter
 
 OUTCOMES = "outcomes.jsonl"
 """The file of finished simulations in a folder of results."""
@@ -429,8 +429,9 @@ def _grasp_job(
                     replace(config, index=task),
                     changed,
                     frames=FrameRequest(),
-                    patch_of=partial(gel_patch, indenter, law, grasped.surface),
-                    keeps_past=bool(law.effects),
+                    gel=GelModel(
+                        partial(gel_patch, indenter, law, grasped.surface), bool(law.effects)
+                    ),
                 )
                 found.append(asdict(Outcome.of(trace, changed)))
             return found

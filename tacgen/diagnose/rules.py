@@ -51,6 +51,8 @@ class ContactRules(SearchRules):
     alpha: float = 0.005  # chance of a first false effect, over all that is shuffled alike
     min_gain: float = 0.02  # least share of an effect, a seventh of the noise in amplitude
     few_min_gain: float = 0.1  # min_gain where trials are few
+    few_parts_gain: float = 0.9  # the same where parts are too few for any p below alpha: noise of
+    # so few parts is no such share of a residual
 
     max_error_of_compliance: float = 0.5  # standard errors over the value: k_n is then no figure
     max_error_of_time: float = 1.0  # the same of a time or a limit: another would do as well

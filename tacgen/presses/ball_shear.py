@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from tacgen.contact.ball import GelLattice
+from tacgen.contact.gel_shear import GelShear
 from tacgen.contact.shear import dilation_mm
 from tacgen.contact.shear_field import TOLERANCE
 from tacgen.core.records import Sensor
 from tacgen.core.types import FloatArray
-from tacgen.sensor.gel_shear import GelShear
 
 EVERY = 4  # pixels: so far apart the depth below a ball is computed, finer than the lattice
 STICKS = 1e4  # a friction at which all points stick

@@ -20,7 +20,7 @@ import pandas as pd
 
 from tacgen.core.errors import PressError, require_extra, require_known
 from tacgen.core.records import DEPTH_CURVES, PRESS_LOG, csv_problem
-from tacgen.core.types import STANDARD_GRAVITY_M_S2, FloatArray, IntArray
+from tacgen.core.types import STANDARD_GRAVITY_M_S2, BoolArray, FloatArray, IntArray
 from tacgen.presses.rules import LOG
 
 EMPTY_CELLS = frozenset(
@@ -313,11 +313,22 @@ def _parted(blocks: IntArray, time_s: FloatArray | None) -> dict[str, IntArray]:
     found = {"blank lines": blocks}
     if time_s is not None:
         steps = np.diff(time_s)
-        usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
-        breaks = (steps < 0) | (steps > LOG.gap_factor * usual)
+        breaks = (steps < 0) | clock_gaps(steps)
         found["pauses"] = np.concatenate([[0], np.cumsum(breaks)]).astype(np.int64)
     most = LOG.most_blocks_share * len(blocks)
     return {by: number for by, number in found.items() if 0 < number[-1] < most}
+
+
+def clock_gaps(steps_s: FloatArray) -> BoolArray:
+    """Which steps (N,) of a clock are far longer than usual, and than one beside them.
+
+    Times that lie ever further apart, as in a hold that is sampled by its logarithm, have none.
+    """
+    if not (steps_s > 0).any():
+        return np.zeros(len(steps_s), dtype=bool)
+    beside = np.pad(steps_s, 1, constant_values=np.inf)
+    usual = np.maximum(np.median(steps_s[steps_s > 0]), np.minimum(beside[:-2], beside[2:]))
+    return np.asarray(steps_s > LOG.gap_factor * usual)
 
 
 def _with_units_of_cells(cells: pd.DataFrame) -> pd.DataFrame:

@@ -15,13 +15,13 @@ from tacgen.contact.gel import px_to_mm
 from tacgen.contact.shear import marker_grid_mm
 from tacgen.core.errors import PressError
 from tacgen.core.records import Sensor
+from tacgen.core.sensors import no_markers
 from tacgen.core.types import BoolArray, FloatArray, IntArray
 from tacgen.optics.dots import LEAST_SEEN, dots_at_rest, follow
 from tacgen.presses.lab_table import numeric_columns, read_table
 from tacgen.presses.press_folder import PressFolder
 from tacgen.presses.press_log import PressLog
 from tacgen.presses.rules import LOG
-from tacgen.sensor.description import no_markers
 
 AT_REST = 0.02  # of a press's largest force: below it, its dots are where they rest
 AXES = {

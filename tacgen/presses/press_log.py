@@ -16,7 +16,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
+from tacgen.contact.noise import sample_noise
 from tacgen.core.errors import PressError
 from tacgen.core.files import sha256_of
 from tacgen.core.records import PRESS_LOG, frozen_array, similar_columns
@@ -33,6 +35,7 @@ from tacgen.presses.lab_table import (
     FORCE_UNITS_N,
     LogFormat,
     LogTable,
+    clock_gaps,
     parsed,
     read_log_table,
     split_header,
@@ -186,6 +189,9 @@ def press_log_of(table: LogTable, *, radius_mm: float | None = None) -> PressLog
     if "time_s" in table.headers and "time_s" not in table.sure:
         notes += _check_clock_unit(table, columns)
     of_depths, rows = "volume_mm3" not in columns, table.cells.index.to_numpy()[order]
+    if of_depths:
+        columns["depth_mm"], found = _from_contact(columns)
+        notes += [f"{path}: {note}" for note in found]
     columns, is_known, filled = _with_ball_volumes(columns, radius_mm)
     if is_known and filled.any():
         _check_ball({name: values[filled] for name, values in columns.items()}, path)
@@ -247,6 +253,63 @@ def _with_presses(table: LogTable) -> LogTable:
     added = [name for name in ("trial", "time_s") if name not in cells]
     cells = pd.DataFrame({name: numbers[name] for name in added}, cells.index).join(cells)
     return replace(table, cells=cells, numbers=numbers, notes=tuple(notes))
+
+
+def _from_contact(columns: Columns) -> tuple[FloatArray, list[str]]:
+    """``depth_mm`` (N,) counted from where the force begins, in presses that count an approach."""
+    depth, blocks = columns["depth_mm"], _trial_blocks(columns["trial"])
+    contact = np.array([_contact_depth(depth[b], columns["force_normal_n"][b]) for b in blocks])
+    seen = np.isfinite(contact)
+    deepest = np.array([depth[b].max() for b, one in zip(blocks, seen, strict=True) if one])
+    way = contact[seen]
+    if 2 * seen.sum() < len(blocks) or np.median(way / (deepest - way)) < LOG.least_approach_share:
+        return depth, []
+    note = (
+        f"depth_mm grows by {np.median(way):.3g} mm (median of {len(way)} presses) before there is "
+        "a force: depths are counted from there"
+    )
+    return depth - np.repeat(np.where(seen, contact, 0.0), [len(b) for b in blocks]), [note]
+
+
+def _contact_depth(depth_mm: FloatArray, force_n: FloatArray) -> float:
+    """The depth at which a press (N,) begins to have a force; NaN where no approach is seen.
+
+    Within noise of the first rows, force is none; beyond, it is F₀ + c (d − d₀)^p, whatever the
+    indenter and the law, up to a share of its peak.
+    """
+    known = np.flatnonzero(np.isfinite(depth_mm) & np.isfinite(force_n))
+    if known.size <= 2 * LOG.least_approach_rows:
+        return math.nan
+    known = known[: int(np.argmax(depth_mm[known])) + 1]
+    depth, force = depth_mm[known], force_n[known]
+    if depth.size <= 2 * LOG.least_approach_rows:
+        return math.nan
+    noise = sample_noise(force[:, None], np.array([0, force.size]))
+    first = np.arange(force.size) < LOG.least_approach_rows
+    for _ in range(3):
+        zero = float(np.median(force[first]))
+        reach = LOG.approach_sigmas * noise + 1e-9 * float(np.ptp(force))
+        near = np.flatnonzero(np.abs(force - zero) <= reach)
+        touch = int(near[-1]) + 1 if near.size else 0
+        first = np.arange(force.size) < max(touch, LOG.least_approach_rows)
+    peak = float(force.max()) - zero
+    if touch < LOG.least_approach_rows or peak < 2.0 * reach or touch >= force.size:
+        return math.nan
+    stop = int(np.argmax(force - zero > LOG.onset_share * peak))
+    width = max(depth[stop] - depth[touch - 1], 1e-9)
+    rows = (depth > depth[touch - 1] - 2.0 * width) & (np.arange(force.size) <= stop)
+    if depth[touch - 1] - depth[0] < 0.5 * width or rows.sum() < LOG.least_approach_rows:
+        return math.nan
+
+    def misfit(at: FloatArray) -> FloatArray:
+        shape = np.maximum(depth[rows] - at[0], 0.0) ** at[1]
+        load = force[rows] - zero
+        return np.asarray(load - shape * (shape @ load) / max(float(shape @ shape), 1e-300))
+
+    low, high = depth[touch - 1] - width, depth[stop] - 1e-3 * width
+    start = [depth[touch - 1], 1.5]
+    found = least_squares(misfit, start, bounds=([low, 1.0], [high, 3.0]), x_scale=[width, 1.0])
+    return float(found.x[0])
 
 
 def _with_ball_volumes(
@@ -324,6 +387,7 @@ def value_problems(table: LogTable) -> list[str]:
     if known.sum() > 2:
         low, high = np.percentile(values[known], (1.0, 99.0))
         is_far = low > LOG.position_share * high and high > LOG.position_mm
+        is_far &= high - low > LOG.plausible_depths_mm[0]  # a depth that is held moves by less
         if response == "depth_mm" and is_far:
             return [
                 f"{path}: depth_mm lies between {low:.4g} and {high:.4g}, like a stage's position: "
@@ -338,7 +402,9 @@ def value_problems(table: LogTable) -> list[str]:
                 f"{path}: {response} is negative in contact (down to {low:.3g}); flip the sign: "
                 f"--flip {short}"
             )
-        if max(inside, outside, key=abs) < -LOG.sign_correlation:
+        # Of holds alone no zero is seen: a force may sag as the gel gives way.
+        is_hold = load.min() > 0 and low > LOG.rest_volume_share * high
+        if max(inside, outside, key=abs) < -LOG.sign_correlation and not is_hold:
             problems.append(
                 f"{path}: force_normal_n is negative in contact (down to {load.min():.3g} N); flip "
                 "the sign: --flip force"
@@ -581,8 +647,8 @@ def _peaks_and_compliances(
 ) -> tuple[FloatArray, FloatArray]:
     """Peak force of each block, and its volume per force there; NaN where nothing is known.
 
-    Both are counted from the block's least load, where that is much less than its peak: a gauge
-    that was not tared is no other unit.
+    Both are counted from the block's least load, where the gel is at rest there: a gauge that was
+    not tared is no other unit. In a hold it is not: the force falls at one volume, or stays.
     """
     peak, compliance = np.full(len(blocks), np.nan), np.full(len(blocks), np.nan)
     for index, block in enumerate(blocks):
@@ -594,9 +660,12 @@ def _peaks_and_compliances(
         peak[index] = force.max()
         rest = force <= np.quantile(force, LOG.rest_share)
         zero = np.array([np.median(force[rest]), np.median(volume[rest])])
-        if zero[0] > LOG.held_share * peak[index] and zero[1] > LOG.held_share * volume.max():
-            zero = np.zeros(2)
         loaded = force - zero[0] >= 0.5 * (force.max() - zero[0])
+        least = LOG.rest_volume_share * volume.max()
+        is_force_held = zero[0] > LOG.held_share * peak[index] and zero[1] > least
+        if is_force_held or np.median(volume[loaded]) - zero[1] < least:
+            zero = np.zeros(2)
+            loaded = force >= 0.5 * force.max()
         load = np.median(force[loaded]) - zero[0]
         if load > 0:
             compliance[index] = (np.median(volume[loaded]) - zero[1]) / load
@@ -630,8 +699,7 @@ def _clock_goes_back(found: _Findings, block: IntArray) -> str:
     if back.size:
         more = f" and {back.size - 1} more" if back.size > 1 else ""
         return f"time_s goes backwards at row {found.rows[kept[back[0] + 1]]}{more}"
-    usual = np.median(steps[steps > 0]) if (steps > 0).any() else np.inf
-    gaps = np.flatnonzero(steps > LOG.gap_factor * usual)
+    gaps = np.flatnonzero(clock_gaps(steps))
     if gaps.size:
         found.warn(
             f"row {found.rows[kept[gaps[0] + 1]]}: trial {found.trial(block)}: the clock jumps by "
@@ -657,9 +725,18 @@ def _number_is_taken(found: _Findings, block: IntArray) -> str:
 
 
 def _constant_force(found: _Findings, block: IntArray) -> str:
-    force = found.columns["force_normal_n"][found.kept(block)]
-    is_constant = len(force) > 1 and np.ptp(force) == 0.0
-    return f"the force never changes ({force[0]:g} N)" if is_constant else ""
+    force, volume = (found.columns[name][found.kept(block)] for name in REQUIRED[2:])
+    if len(force) < 2 or np.ptp(force) != 0.0:
+        return ""
+    what = f"the force never changes ({force[0]:g} N)"
+    is_pressed = min(np.median(volume), volume[-1]) > 0.5 * volume.max()
+    if not (force[0] > 0 and is_pressed):
+        return what
+    found.warn(
+        f"row {found.rows[block[0]]}: trial {found.trial(block)}: {what}: read as a load that is "
+        "held; if it was not, check the gauge"
+    )
+    return ""
 
 
 def _no_force(found: _Findings, block: IntArray) -> str:

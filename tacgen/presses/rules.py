@@ -52,10 +52,16 @@ class LogRules:
     # 10 mm thick, and seen to give way from 0.02 mm
     position_share: float = 0.8  # of the largest depth: where all are above it,
     position_mm: float = 5.0  # and it above this, they are counted from elsewhere than the gel
+    least_approach_rows: int = 5  # before contact, in which depth grows and the force does not
+    approach_sigmas: float = 5.0  # of the force's noise, that it stays within there
+    onset_share: float = 0.3  # of the peak force, below which a power of the depth holds
+    least_approach_share: float = 0.1  # of what is pressed: a zero that is off by less is a fit's
     sign_correlation: float = 0.5  # of force and size of the response: below its negative, the
     # sign is wrong
     rest_share: float = 0.05  # those with the least force: at rest
-    held_share: float = 0.7  # of the peaks: above it, the least force and volume are of a hold
+    held_share: float = 0.7  # of the peak: above it, the least force is of a hold
+    rest_volume_share: float = 0.1  # of the largest volume or depth: one that falls by less with
+    # the force is held, and one that is never less is not at rest
     outlier_factor: float = 8.0  # times softer or stiffer than the median press: another unit; kgf
     # for newtons are 9.8 times less
 

@@ -20,8 +20,8 @@ from pydantic import (
 from tacgen.contact.effects import Where, find_effect
 from tacgen.core.errors import ContactError
 from tacgen.core.schema import KeyPath, Located, Section, YamlSource, load_checked
+from tacgen.core.sensors import SensorByName, SensorChoice, sensor_problems
 from tacgen.core.types import PUBLISHED_K_N_MM3_PER_N
-from tacgen.sensor.description import SensorByName, SensorChoice, sensor_problems
 
 
 def _ordered(values: tuple[float, float]) -> tuple[float, float]:

@@ -15,6 +15,8 @@ from scipy.optimize import brentq, least_squares
 from scipy.spatial import cKDTree
 
 from tacgen.contact.gel import mm_to_px, px_to_mm
+from tacgen.contact.gel_response import LOAD, ONSET_S
+from tacgen.contact.indenter import contact_status
 from tacgen.contact.law import ContactLaw
 from tacgen.contact.shear import marker_grid_mm
 from tacgen.core.errors import SensorError, TableError
@@ -33,9 +35,7 @@ from tacgen.optics.dots import (
     follow,
 )
 from tacgen.optics.reconstruct import Reconstructor
-from tacgen.sensor.gel_response import LOAD, ONSET_S
 from tacgen.sensor.simulated import Frame, Sensor
-from tacgen.sensor.tactile_pad import contact_status
 
 LEAST_DEPTH_MM = 0.03
 """Shallower than this there is no contact: pictures of a gel at rest reach 0.02 mm by noise."""

@@ -9,13 +9,13 @@ import trimesh
 from scipy.special import ellipe
 
 from tacgen.collection.gel import gel_patch
+from tacgen.contact.indenter import Indenter
 from tacgen.contact.law import ContactLaw
 from tacgen.core.records import ContactFrame, GraspConfig, GraspObject, Mesh
+from tacgen.core.sensors import load_sensor
 from tacgen.core.types import STANDARD_GRAVITY_M_S2
-from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
+from tacgen.physics import FrameRequest, GelModel, GraspSimulator, PhysicsSettings, run_grasp
 from tacgen.physics.margins import torsion_arm_mm
-from tacgen.sensor.description import load_sensor
-from tacgen.sensor.tactile_pad import Indenter
 
 GEL_MM = np.array([24.0, 19.0])
 SENSOR = replace(load_sensor("gelsight"), gel_size_mm=tuple(GEL_MM))
@@ -117,7 +117,9 @@ def turns(simulator, name, force_n, friction_share, ratio, *, friction=0.5):
     config = GraspConfig(0, name, force_n, 0.0, 0.0, height_mm)
     patch_of = partial(gel_patch, Indenter(SENSOR), ContactLaw.linear(K_N, 1.0), obj.surface)
     settings = PhysicsSettings(clearance_mm=0.5)
-    trace = run_grasp(simulator, obj, config, settings, frames=FrameRequest(), patch_of=patch_of)
+    trace = run_grasp(
+        simulator, obj, config, settings, frames=FrameRequest(), gel=GelModel(patch_of)
+    )
     return trace.turn_rad > settings.success_turn_rad
 
 

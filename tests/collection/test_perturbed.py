@@ -170,8 +170,10 @@ def test_changes_on_top_of_each_other_multiply_and_add():
 def test_torsion_is_asked_to_hold_the_moment_of_the_largest_turn(share, swing, whole):
     margin = SlipMargin(1.0, 0.1, np.nan, np.zeros(2), 3.0, 1.2, 1.5, share)
     config = GraspConfig(0, "sugar_box", 8.0, 0.0, 0.0, 50.0, 0.0)
-    pose = np.zeros((0, 7))
-    trace = GraspTrace(config, "executed", 1, "", {}, pose, 180.0, 0.02, margin)
+    trace = GraspTrace(
+        config=config, status="executed", label=1, frames={}, object_pose=np.zeros((0, 7)),
+        rise_mm=180.0, turn_rad=0.02, margin=margin,
+    )  # fmt: skip
     outcome = Outcome.of(trace, RECIPE.physics_settings)
     assert (outcome.friction_ratio, outcome.turn_ratio) == pytest.approx((3.0, 0.2))
     assert (outcome.swing_ratio, outcome.whole_swing_ratio) == pytest.approx((swing, whole))

@@ -17,6 +17,7 @@ import tacgen
 from tacgen.calibrate.lookup.table_fit import fit_lookup
 from tacgen.cli import app
 from tacgen.contact import gel_map_mm
+from tacgen.contact.gel_response import gel_loads
 from tacgen.contact.law import ContactLaw, FittedEffect
 from tacgen.contact.shear import marker_grid_mm
 from tacgen.core.errors import SensorError, TableError
@@ -24,6 +25,7 @@ from tacgen.core.images import encode_png
 from tacgen.core.records import ContactFrame, Estimate
 from tacgen.core.resources import sensor_files
 from tacgen.core.safe_io import read_rgb
+from tacgen.core.sensors import load_sensor
 from tacgen.optics import save_table
 from tacgen.optics.reconstruct import Reconstructor
 from tacgen.optics.virtual_sensor import VirtualSensor
@@ -31,8 +33,6 @@ from tacgen.presses.press_folder import read_presses
 from tacgen.presses.screening import usable_presses
 from tacgen.rig import load_rig_recipe
 from tacgen.rig.images import Camera, press_ball
-from tacgen.sensor.description import load_sensor
-from tacgen.sensor.gel_response import gel_loads
 from tacgen.sensor.read_image import (
     _LATEST,
     MARKER_STDERR_PX,

@@ -174,7 +174,7 @@ def run_set(objects: Sequence[str], seed: int, flips: float, out: Path) -> Itera
         simulations.joint.clear()
         comparison = refine(simulations, declared, labels)
         found = posterior(comparison, labels, rng)
-        diagnosis = diagnose_labels(comparison, labels, found, truths[()].astype(int), {}, (), rng)
+        diagnosis = diagnose_labels(comparison, labels, found, truths[()].astype(int), {}, rng)
         yield Trial(
             "+".join(objects),
             names,

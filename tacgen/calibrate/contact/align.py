@@ -74,7 +74,8 @@ def _is_of_depth(log: PressLog, rows: BoolArray) -> bool:
     depth, radius, volume = (log[n][rows] for n in ("depth_mm", "radius_mm", "volume_mm3"))
     known = np.isfinite(depth).all() and np.isfinite(radius).all() and (radius > 0).all()
     cap = ball_volume_mm3(depth, radius)
-    return bool(known and np.abs(volume - cap).max() <= 1e-3 * cap.max())
+    is_held = np.ptp(depth) <= ALIGN.held_share * np.abs(depth).max()  # shows no contact point
+    return bool(known and not is_held and np.abs(volume - cap).max() <= 1e-3 * cap.max())
 
 
 def _shifted(log: PressLog, rows: BoolArray, shift_mm: float, stderr_mm: float) -> PressLog:
@@ -396,7 +397,7 @@ def _fit_press(
     spread = (paired * left[:, None] ** 2).T @ paired
     spread[2, 2] += known_rows * float((left**2).mean())
     rows = _rows_of_a_residual([left]) * len(left) / max(len(left) - 4, 1)
-    errors = np.sqrt(np.diag(inverse @ spread @ inverse.T) * rows)
+    errors = np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse.T) * rows, 0.0))
     point = ContactPoint(trial, float(at[0]), rest_n + float(at[2]), float(errors[1] / at[1]))
     return point, max(float(errors[0]), ALIGN.least_shift_share * deepest)
 
@@ -578,15 +579,18 @@ def n_balls(log: PressLog) -> int:
 
 
 def _is_unloaded(log: PressLog, trial: int) -> bool:
-    force = log["force_normal_n"][log["trial"] == trial]
-    return len(force) > 2 and bool(force[np.argmax(force) :].min() < 0.5 * force.max())
+    rows = log["trial"] == trial
+    if rows.sum() < 3:
+        return False
+    courses = log["force_normal_n"][rows], log["volume_mm3"][rows]
+    return all(bool(one[np.argmax(one) :].min() < 0.5 * one.max()) for one in courses)
 
 
 def _is_held(log: PressLog, trial: int) -> bool:
     rows = log["trial"] == trial
-    force, time_s = log["force_normal_n"][rows], log["time_s"][rows]
-    held = force > 0.9 * force.max()
-    return bool(held.any() and np.ptp(time_s[held]) >= ALIGN.hold_s)
+    courses, time_s = (log["force_normal_n"][rows], log["volume_mm3"][rows]), log["time_s"][rows]
+    held = [one > 0.9 * one.max() for one in courses if one.max() > 0]
+    return any(bool(np.ptp(time_s[one]) >= ALIGN.hold_s) for one in held)
 
 
 def _has_places(log: PressLog) -> bool:

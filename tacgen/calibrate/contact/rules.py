@@ -8,6 +8,7 @@ class AlignRules:
     """What decides where depth, force and volume count from, and the radius of an unknown ball."""
 
     # Where presses begin
+    held_share: float = 0.1  # of the deepest: a depth that varies by less is held
     min_contact_samples: int = 6  # fewer do not carry a slope and a contact point
     median_stderr: float = 1.25  # of normal noise, in standard errors of the mean
     begins_elsewhere_p: float = 0.1  # a shift that is fitted in vain costs certainty, one left out

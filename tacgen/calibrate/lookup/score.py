@@ -14,10 +14,10 @@ from tacgen.calibrate.lookup import press_fit
 from tacgen.calibrate.lookup.prepared import Pixels, disc_pixels
 from tacgen.calibrate.lookup.settings import RULES
 from tacgen.core.errors import PressError
-from tacgen.core.types import FloatArray, IntArray
+from tacgen.core.types import FloatArray, IntArray, Window
 from tacgen.optics.reconstruct import Reconstructor
 from tacgen.optics.render import Effects, Shader
-from tacgen.optics.smooth import Window, grown
+from tacgen.optics.smooth import grown
 from tacgen.optics.table import LookupTable
 from tacgen.presses.geometry import rest_height
 from tacgen.presses.press_images import PressImages, label_mm, place_mm

@@ -162,9 +162,15 @@ class Effect:
         return replace(form, label=label, free=free, prior_sd=prior_sd)
 
     def can_act_on(self, history: LoadHistory) -> bool:
-        """Whether the log has the columns that it needs and varies in them."""
+        """Whether the log has the columns that it needs and varies in them.
+
+        At one displacement alone nothing shows what another load does.
+        """
         is_whole = self.where is None and self.is_local
-        return history.has(*self.needs) and not is_whole and self.is_identifiable(history)
+        is_of_load = self.stage in ("input", "elastic", "output")
+        is_seen = history.is_moved(self.channel) or not is_of_load
+        can_act = history.has(*self.needs) and is_seen and not is_whole
+        return can_act and self.is_identifiable(history)
 
     def only(self, where: Where | None) -> "Effect":
         """The same effect, but with the load unchanged outside of ``where``, if there is one.

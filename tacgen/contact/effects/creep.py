@@ -48,14 +48,27 @@ def _apply(
     return result
 
 
-def _tau_bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float, float]:
+def _tau_bounds(
+    history: base.LoadHistory, p: base.Parameters, channel: base.Channel
+) -> tuple[float, float]:
     """Slower than sampling and faster than some trials: else it is no creep that a log shows.
 
     What is carried from trial to trial shows over the session.
     """
-    duration_s = history.trial_duration_s
     longest = LONGEST_CARRIED if p["carried"] == 1.0 else LONGEST_TAU
-    return max(4.0 * history.sample_period_s, 0.02 * duration_s), longest * duration_s
+    fastest_s = history.once(("creep", channel), lambda: _fastest_s(history, channel))
+    return fastest_s, longest * history.trial_duration_s
+
+
+def _fastest_s(history: base.LoadHistory, channel: base.Channel) -> float:
+    """Four sampling periods; and but for holds, which may be much longer, 2 % of a trial.
+
+    In a hold, samples may lie dense where the gel creeps fastest: at its start.
+    """
+    if not history.is_hold(channel):
+        return max(4.0 * history.sample_period_s, 0.02 * history.trial_duration_s)
+    times = [np.unique(one) for one in np.split(history.time_in_trial_s, history.starts[1:-1])]
+    return max(float(np.median([one[:5][-1] for one in times])), 1e-3)
 
 
 def _amount_bounds(history: base.LoadHistory, p: base.Parameters) -> tuple[float, float]:
@@ -80,6 +93,10 @@ def _variants(
 ) -> tuple[base.Variant, ...]:
     duration = max(history.trial_duration_s, 4 * history.sample_period_s)
     taus = [share * duration for share in (0.04, 0.1, 0.25, 0.6, 1.5)]
+    pair = {"tau_s": 0.08 * duration, "tau_2_s": 0.5 * duration}
+    if history.is_hold(channel):
+        taus = np.geomspace(2.0 * _fastest_s(history, channel), 1.5 * duration, 6).tolist()
+        pair = {"tau_s": taus[1], "tau_2_s": taus[4]}
     recovering, held = {"recovery": 1.0}, {"recovery": 0.0}
     kinds = [("recovering", recovering, taus), ("with the load", held, taus)]
     if channel == "shear":
@@ -101,7 +118,7 @@ def _variants(
         base.variant(
             f"two terms, {kind}",
             [{"amount": 0.05}, {"amount_2": 0.05}],
-            {"tau_s": 0.08 * duration, "tau_2_s": 0.5 * duration, **shape},
+            {**pair, **shape},
             fitted=("tau_s", "tau_2_s"),
         )
         for kind, shape, _ in kinds
@@ -119,8 +136,8 @@ for _channel in base.CHANNELS:
             parameters=(
                 base.amount("amount", -0.9, 10.0, bounds=_amount_bounds),
                 base.amount("amount_2", -0.9, 10.0, bounds=_amount_bounds),
-                base.shape("tau_s", 1e-3, 1e5, 1.0, "s", _tau_bounds),
-                base.shape("tau_2_s", 1e-3, 1e5, 10.0, "s", _tau_bounds),
+                base.shape("tau_s", 1e-3, 1e5, 1.0, "s", partial(_tau_bounds, channel=_channel)),
+                base.shape("tau_2_s", 1e-3, 1e5, 10.0, "s", partial(_tau_bounds, channel=_channel)),
                 base.shape("recovery", 0.0, 1.0, 1.0),
                 base.shape("carried", 0.0, 1.0, 0.0),
                 base.shape("since_press", 0.0, 1.0, 0.0),

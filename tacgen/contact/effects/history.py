@@ -23,6 +23,13 @@ CONTACT_SHARE = 0.05
 """Share of a law's span of load above which a load counts as contact, and by which it must fall to
 count as unloading: above the noise of any usable gauge."""
 
+LEAST_WAY_BACK = 0.02  # of all rows: of fewer no way back shows
+HELD_SHARE = 0.1  # of the largest: what varies by less is held
+RESPONSES: dict[Channel, tuple[str, ...]] = {
+    "normal": ("volume_mm3",),
+    "shear": ("shear_x_mm", "shear_y_mm"),
+}
+
 LEAST_KEPT, NUMBERS_KEPT = 8, 400_000
 """Results of one operator that are kept at least, and how many numbers in all beyond that."""
 
@@ -293,6 +300,50 @@ class LoadHistory:
             margin = CONTACT_SHARE * key[1]
             self._reversals[key] = kernels.reversal(self._smooth_n(channel), self.starts, margin)
         return self._reversals[key]
+
+    def is_unloaded(self, channel: Channel) -> bool:
+        """Whether the load turns back in enough rows, and what it moves with it."""
+        return self._turn_back(channel) == (True, True)
+
+    def is_relaxing(self, channel: Channel) -> bool:
+        """Whether it does so alone: a displacement is held, and the force falls by itself."""
+        return self._turn_back(channel) == (True, False)
+
+    def _turn_back(self, channel: Channel) -> tuple[bool, bool]:
+        """Whether the load turns back for long enough, and whether its response does meanwhile."""
+        turned, size = self.reversal(channel)[1], self._response(channel)
+        both = turned
+        if size is not None:
+            margin = CONTACT_SHARE * _span(size)
+            both = turned & kernels.reversal(size, self.starts, margin)[1]
+        return bool(turned.mean() > LEAST_WAY_BACK), bool(both.mean() > LEAST_WAY_BACK)
+
+    def is_moved(self, channel: Channel) -> bool:
+        """Whether the response is of several loads, not of holds at one displacement alone."""
+        size = self._response(channel)
+        if size is None:
+            return True
+        low, high = np.quantile(size, [0.01, 0.99])
+        return bool(high - low > HELD_SHARE * high)
+
+    def is_hold(self, channel: Channel) -> bool:
+        """Whether trials are mostly holds: most rows are near their trial's largest of either."""
+        load, size = self._smooth_n(channel), self._response(channel)
+        return any(
+            float((one > (1.0 - HELD_SHARE) * self._peaks(one)).mean()) > 0.5
+            for one in (load, size)
+            if one is not None
+        )
+
+    def _peaks(self, values: FloatArray) -> FloatArray:
+        return np.maximum.reduceat(values, self.starts[:-1])[self.trial_index]
+
+    def _response(self, channel: Channel) -> FloatArray | None:
+        """Size (N,) of a lightly smoothed response of a log; None where there is no log."""
+        if not self.has(*RESPONSES[channel]):
+            return None
+        axes = [np.nan_to_num(self.smooth(self.column(name))) for name in RESPONSES[channel]]
+        return np.asarray(np.linalg.norm(axes, axis=0))
 
     def peak_load(
         self, load: FloatArray, channel: Channel, span_n: float

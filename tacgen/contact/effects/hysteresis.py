@@ -16,7 +16,6 @@ RETURN = base.Curve("return", (0.0, 0.2, 0.4, 0.6, 0.8))
 """Of the share of the peak that is gone: what a correction adds there, as a share of the peak; of
 the trial's peak so far, and of the peak since contact, which a gel that is let go forgets."""
 FREE = (*KEPT.parameters, *RETURN.parameters)
-MIN_UNLOADING_SHARE = 0.02  # rows of unloading that a log must have for a way back to show
 
 
 def _apply(
@@ -150,9 +149,7 @@ def _register(channel: base.Channel) -> None:
             apply=partial(_apply, channel=channel),
             references=lambda history: {"span_n": history.span_n(channel)},
             variants=partial(_variants, channel=channel),
-            is_identifiable=lambda history: bool(
-                history.reversal(channel)[1].mean() > MIN_UNLOADING_SHARE
-            ),
+            is_identifiable=lambda history: history.is_unloaded(channel),
         )
     )
 

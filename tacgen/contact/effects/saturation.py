@@ -31,6 +31,8 @@ base.register(
             base.reference("span_mm3", "mm3", of_response=True),
         ),
         apply=_apply,
+        # A volume that is held is at no limit, though the force falls there.
+        is_identifiable=lambda h: not (h.is_relaxing("normal") and h.is_hold("normal")),
         variants=lambda history, references: tuple(
             base.variant(
                 f"limit at {share:g} of the range, sharpness {sharpness:g}",

@@ -91,13 +91,15 @@ class ChannelDiagnosis(record.Summarised):
     @property
     def summary(self) -> record.Summary:
         """Verdict and sentence."""
-        wheres = {term.name: term.effect.where for term in self.final.model.terms}
+        wheres = {
+            term.name: f" (only {term.effect.where})" if term.effect.where else ""
+            for term in self.final.model.terms
+        }
+        if self.data.history.is_relaxing(self.data.channel):
+            wheres["creep"] = " (the force relaxes at a held displacement)"
         return record.Summary(
             _LAW_WORDS[self.data.channel],
-            [
-                name.replace("_", " ") + (f" (only {wheres[name]})" if wheres[name] else "")
-                for name in self.effect_names
-            ],
+            [name.replace("_", " ") + wheres[name] for name in self.effect_names],
             [_OF_PRESSES.get(one.covariate, one.covariate) for one in self.unexplained],
             before=self.before.rmse,
             after=self.after.rmse,
@@ -158,8 +160,10 @@ def _channel(found: ChannelDiagnosis) -> dict[str, Any]:
             if one.candidate.is_effect
         ],
         unexplained=[_unexplained(found, d) for d in found.unexplained],
-        error_before=record.error(found.before.rmse, found.scale, unit),
-        error_after=record.error(found.after.rmse, found.scale, unit),
+        errors=(
+            record.error(found.before.rmse, found.scale, unit),
+            record.error(found.after.rmse, found.scale, unit),
+        ),
         noise_floor=(
             found.floor,
             "second differences, over 1 to 8 samples of a trial, of the law's residual",

@@ -336,11 +336,24 @@ class ContactProblem(Problem[Candidate, FittedSet]):
     def accepts(self, full: FittedSet, member: Candidate) -> bool:
         """Whether held-out trials, the test and the other members' worth call for ``member``."""
         rest = self.without(full, member)
-        if not self.is_worth(rest, full) or self.p_value(full, member) > self.rules.alpha:
+        if not self.is_worth(rest, full):
+            return False
+        if self.p_value(full, member) > self.rules.alpha and not self._explains_all(rest, full):
             return False
         # What one explains beside the others may be little of what all explain.
         all_explain = self.fitted((), self.linear).loss - full.loss
         return rest.loss - full.loss >= self.rules.least_share_of_all * all_explain
+
+    def _explains_all(self, rest: FittedSet, full: FittedSet) -> bool:
+        """Whether a member explains nearly all where parts are too few for any to be significant.
+
+        What the member leaves goes on for so many rows that the parts, though all agree in sign,
+        would do so by chance too often.
+        """
+        shuffled = self._shuffled.of_blocks(self.data.memory_rows(full.fit.residual))
+        parts = len(np.unique(shuffled.signs, axis=1).T)
+        least = self.rules.few_parts_gain * self.total(rest)
+        return 0.5 ** (parts - 1) > self.rules.alpha and rest.loss - full.loss > least
 
     def form(self, candidate: Candidate) -> object:
         """Name and function."""

@@ -89,10 +89,10 @@ def diagnose_grasps(
         found,
         before,
         _covariates(real.grasps),
-        _notes(recipe, real, simulations.outcomes(DECLARED)),
         rng,
-        reading=about,
     )
+    notes = tuple(_notes(recipe, real, simulations.outcomes(DECLARED)))
+    diagnosis = replace(diagnosis, notes=notes, reading=about)
     findings = GraspFindings(
         diagnosis,
         after,

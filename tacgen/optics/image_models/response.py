@@ -71,17 +71,15 @@ class Response(ImageModel):
     def shade(self, background: NDArray[np.float32], mm_per_px: float) -> Shade:
         """As of ``ImageModel``."""
         response = shade.packed_response(self.response)
-        light = self.contact
+        (height, width), light = background.shape[:2], self.contact
         if light is None:
-            none = np.zeros((*self.response.shape[2:4], 3, 3), dtype=np.float32)
-            light = ContactLight(none, depth_mm=1.0)
-        contact = shade.packed_contact(light.change)
-        shape = background.shape[0], background.shape[1]
-        rest_mm = light.rest_mm(shape, mm_per_px)
-        if self.contact is None:
-            rest_mm.fill(-np.inf)  # no pixel is deeper than that
+            rest_mm, lines = background[:, :, 0], np.empty((0, 9, width), np.float32)
+        else:
+            rest_mm = light.rest_mm((height, width), mm_per_px)
+            lines = shade.contact_lines(light.change, width)
+        depth_mm = 1.0 if light is None else light.depth_mm
         ready = shade.ResponseNodes(
-            mm_per_px, response, self.max_slope_rad, background, rest_mm, contact, light.depth_mm
+            mm_per_px, response, self.max_slope_rad, background, rest_mm, lines, depth_mm
         )
         return lambda surface, window, spans, image: shade.shade_response(
             surface, window, spans, image, ready

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tacgen.calibrate.contact.align import align, shift_beside_effects
-from tacgen.calibrate.contact.command import calibrate_contact
+from tacgen.calibrate.contact.command import LogSource, calibrate_contact
 from tacgen.calibrate.contact.law_fit import fit_contact
 from tacgen.cli import app
 from tacgen.contact.law import load_law
@@ -84,13 +84,13 @@ def test_the_same_presses_give_one_law_whatever_they_come_with(tmp_path, form, s
     """k_s to the last digit, k_n within its error, and no effect by either command."""
     log, _ = session(seed)
     log.to_csv(tmp_path / "volumes.csv", index=False)
-    by_volume = calibrate_contact(tmp_path / "volumes.csv", tmp_path / "v.yaml").law
+    by_volume = calibrate_contact(LogSource(tmp_path / "volumes.csv"), tmp_path / "v.yaml").law
     in_form(form, seed).to_csv(tmp_path / "depths.csv", index=False)
-    law = calibrate_contact(tmp_path / "depths.csv", tmp_path / "d.yaml").law
+    law = calibrate_contact(LogSource(tmp_path / "depths.csv"), tmp_path / "d.yaml").law
     assert law.k_s_mm_per_n == by_volume.k_s_mm_per_n
     assert law.k_s_mm_per_n.value == pytest.approx(K_S, rel=0.02)
     assert abs(law.k_n_mm3_per_n.value - K_N) < 3.5 * law.k_n_mm3_per_n.stderr < 0.025 * K_N
-    diagnosis = diagnose_log(tmp_path / "depths.csv", tmp_path / "diagnosis")
+    diagnosis = diagnose_log(LogSource(tmp_path / "depths.csv"), tmp_path / "diagnosis")
     found = {name: one.verdict for name, one in diagnosis.channels.items()}
     assert found == {"normal": "sufficient", "shear": "sufficient"}
     assert diagnosis.law.k_n_mm3_per_n == law.k_n_mm3_per_n
@@ -111,7 +111,7 @@ def effect(name: str) -> dict[str, object]:
 )
 def test_an_effect_is_found_by_depths_too(tmp_path, form, name):
     in_form(form, 44, [effect(name)]).to_csv(tmp_path / "log.csv", index=False)
-    found = diagnose_log(tmp_path / "log.csv", tmp_path / "diagnosis")
+    found = diagnose_log(LogSource(tmp_path / "log.csv"), tmp_path / "diagnosis")
     assert found.channels["normal"].effect_names == (name,)
     # A fast creep is partly taken for compliance.
     assert found.law.k_n_mm3_per_n.value == pytest.approx(K_N, rel=0.03)
@@ -152,7 +152,7 @@ def test_presses_with_depths_beside_presses_with_volumes(tmp_path):
     assert any("no volume_mm3 in 12 presses" in text for text in read_mixed.warnings)
     expected = np.where(even, ball_volume_mm3(true_mm, log["radius_mm"]), log["volume_mm3"])
     np.testing.assert_allclose(read_mixed["volume_mm3"], expected)
-    law = calibrate_contact(tmp_path / "log.csv", tmp_path / "law.yaml").law
+    law = calibrate_contact(LogSource(tmp_path / "log.csv"), tmp_path / "law.yaml").law
     assert abs(law.k_n_mm3_per_n.value - K_N) < 3.5 * law.k_n_mm3_per_n.stderr < 0.025 * K_N
 
 
@@ -216,7 +216,9 @@ def test_the_interval_of_one_curve_of_a_known_ball_holds_its_k_n(tmp_path):
     for seed in range(20):
         frame = curves(4.0, 5.0, 1.5, late_mm=0.2, seed=seed).assign(radius_mm=4.0)
         frame.to_csv(tmp_path / "log.csv", index=False)
-        k_n = calibrate_contact(tmp_path / "log.csv", tmp_path / "law.yaml").law.k_n_mm3_per_n
+        k_n = calibrate_contact(
+            LogSource(tmp_path / "log.csv"), tmp_path / "law.yaml"
+        ).law.k_n_mm3_per_n
         held.append(abs(k_n.value - 5.0) < 1.96 * k_n.stderr)
         assert k_n.stderr < 0.2
     assert np.mean(held) >= 0.8
@@ -271,3 +273,46 @@ def test_both_commands_print_the_same_figures_of_one_file(tmp_path):
         for name in ("rmse", "nrmse"):
             own = pytest.approx(calibrated["held_out"][name], rel=0.15)
             assert diagnosed["error_before"][name] == own
+
+
+def approached(approach_mm: float, power: float, n_presses: int) -> pd.DataFrame:
+    """Presses to 1 mm in steps of 10 µm whose depth counts from where the stage set out.
+
+    With a ``power`` of 2 V = k_n F holds, with 1.5 Hertz's law.
+    """
+    rng, parts = np.random.default_rng(2), []
+    for trial in range(n_presses):
+        way = np.arange(-approach_mm * (1.0 + 0.1 * trial), 1.0, 0.01)
+        depth = np.maximum(way, 0.0)
+        force = ball_volume_mm3(depth, 2.5) / 0.28 if power == 2 else 10.0 * depth**power
+        force = force + 0.003 * rng.standard_normal(way.size)
+        time_s = 1000.0 * trial + 0.1 * np.arange(way.size)
+        columns = {"time_s": time_s, "force_normal_n": force, "depth_mm": way - way[0]}
+        parts.append(pd.DataFrame(columns).assign(trial=trial, radius_mm=2.5))
+    return pd.concat(parts, ignore_index=True)
+
+
+@pytest.mark.parametrize("n_presses", [1, 4])
+@pytest.mark.parametrize("approach_mm", [0.0, 0.3, 3.0, 30.0])
+def test_rows_before_contact_do_not_weigh_in(tmp_path, approach_mm, n_presses):
+    found = fit_contact(read(approached(approach_mm, 2, n_presses), tmp_path)).normal.pooled
+    assert found.value == pytest.approx(0.28, rel=1e-3)
+    assert abs(found.value - 0.28) < 4.0 * found.stderr
+
+
+def test_a_long_approach_changes_no_law_of_another_power(tmp_path):
+    fits = [fit_contact(read(approached(mm, 1.5, 4), tmp_path)).normal for mm in (0.3, 3.0, 30.0)]
+    values = [fit.pooled.value for fit in fits]
+    assert values == pytest.approx([values[0]] * 3, rel=0.02)
+
+
+def test_a_measured_approach_changes_no_law(measured_data, tmp_path):
+    """Steel ball on three soft samples, depth counted from where the stage set out."""
+    log = pd.read_csv(measured_data / "asmi_ball_indentation" / "press_log.csv")
+    way = log.groupby("trial")["z_mm"].transform("first") - log["z_mm"]
+    touching = log["depth_mm"] > 0
+    contact = (way - log["depth_mm"])[touching].groupby(log["trial"]).min()
+    before = log["trial"].map(contact) - way
+    log = log.assign(depth_mm=way, radius_mm=2.5).drop(columns="volume_mm3")
+    values = [fit_contact(read(log[before <= mm], tmp_path)).normal.pooled.value for mm in (1, 99)]
+    assert values == pytest.approx([0.285, 0.285], abs=0.01)
