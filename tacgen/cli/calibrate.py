@@ -294,7 +294,10 @@ def friction(
 
 @common.app.command(rich_help_panel=common.CALIBRATION)
 def read(
-    images: Annotated[list[Path], Argument(help="Images of the sensor (PNG or JPEG).")],
+    images: Annotated[
+        list[Path],
+        Argument(help="Images of the sensor (PNG or JPEG), a folder of them, or a video."),
+    ],
     sensor: Annotated[str, Option(help="Name of the sensor, or the path of its YAML.")],
     out: Annotated[Path, Option(help="Folder for readings.csv and depth maps.")],
     table: Annotated[Path | None, Option(help="Table of `tacgen calibrate lookup`.")] = None,
@@ -302,10 +305,13 @@ def read(
     background: Annotated[Path | None, Option(help="Gel at rest; else the table's own.")] = None,
     json_output: common.JsonFlag = False,
 ) -> None:
-    """Read depth, contact, volume and force from images of a calibrated sensor."""
+    """Read depth, contact, volume and force from images or a video of a calibrated sensor."""
+    from tacgen.core.errors import SensorError
+    from tacgen.core.progress import progress_counter
     from tacgen.core.safe_io import read_rgb
     from tacgen.optics import load_table
     from tacgen.sensor.read_image import ImageReader, read_files, reading_line
+    from tacgen.sensor.recordings import is_recording, read_recording
     from tacgen.sensor.simulated import Sensor
 
     at_rest = None if background is None else read_rgb(background)
@@ -316,8 +322,23 @@ def read(
     if contact is None:
         k_n = known.law.k_n_mm3_per_n.value
         common.warn([f"no --contact: forces are by the published k_n = {k_n:g} mm³/N"])
-    rows = read_files(ImageReader(known, at_rest), images, out)
-    common.print_result(rows, [*map(reading_line, rows), str(out / "readings.csv")], json_output)
+    reader = ImageReader(known, at_rest)
+    if any(map(is_recording, images)):
+        if len(images) > 1:
+            msg = f"{images[0]} and {len(images) - 1} more: give one folder or video at a time"
+            raise SensorError(msg)
+        with progress_counter("picture") as show:
+            found = read_recording(reader, images[0], out, show)
+        line = (
+            f"{found['file']}: {found['pictures']} pictures, {found['with_contact']} of a contact"
+        )
+        if found["largest_force_n"] is not None:
+            line += f", up to {found['largest_force_n']:.2f} N"
+        common.print_result(found, line, json_output)
+    else:
+        rows = read_files(reader, images, out)
+        lines = [*map(reading_line, rows), str(out / "readings.csv")]
+        common.print_result(rows, lines, json_output)
     files = {key: str(path) for key, path in (("table", table), ("contact", contact)) if path}
     given = "".join(f", {key}={value!r}" for key, value in (files | geometry).items())
     call = f"tacgen.read_image(image_rgb, tacgen.Sensor({sensor!r}{given}))"

@@ -221,6 +221,19 @@ def test_a_further_picture_is_read_by_the_reader_of_the_one_before(rig, sensor, 
     assert _LATEST[mine] is not before
 
 
+def test_a_reading_does_not_depend_on_the_pictures_before_it(rig, reader, press_of_3_n):
+    """Forwards, backwards and alone: the same numbers, bit by bit."""
+    description, camera, _ = rig
+    shallow = press_ball(description, 4.0, (-2.0, 1.0), 2.0, np.zeros(2))
+    pictures = [press_of_3_n, camera.take(None, np.random.default_rng(5))]
+    pictures.append(camera.take(shallow, np.random.default_rng(6)))
+    forwards = [reader.read(picture) for picture in pictures]
+    backwards = [reader.read(picture) for picture in reversed(pictures)][::-1]
+    for one, other in zip(forwards, backwards, strict=True):
+        np.testing.assert_array_equal(one.depth_mm, other.depth_mm)
+        np.testing.assert_array_equal(one.force_stderr_n, other.force_stderr_n)
+
+
 def test_a_law_with_stiffening_is_inverted(reader, sensor):
     """The force is the one at which the law itself gives the volume."""
     from types import MappingProxyType

@@ -1,5 +1,6 @@
 """Image model of light of any course in position, and of what a contact adds to it."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -7,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.compiled import njit
 from tacgen.core.types import FloatArray
 from tacgen.optics import shade
 from tacgen.optics.image_models.base import (
@@ -93,21 +95,9 @@ class Response(ImageModel):
         """As of ``ImageModel``, in float64."""
         if self.contact is None:
             return np.zeros((len(gx), 3))
-        change = self.contact.change
-        n_rows, n_columns = change.shape[:2]
-        down, across = (v + 0.5) * (n_rows - 1), (u + 0.5) * (n_columns - 1)
-        row = np.clip(down.astype(int), 0, n_rows - 2)
-        column = np.clip(across.astype(int), 0, n_columns - 2)
-        down, across = (down - row)[:, None, None], (across - column)[:, None, None]
-        here = (1 - down) * ((1 - across) * change[row, column] + across * change[row, column + 1])
-        here += down * (
-            (1 - across) * change[row + 1, column] + across * change[row + 1, column + 1]
-        )
-        depth = np.maximum(depth_mm, 0.0)
-        share = depth / (depth + self.contact.depth_mm)
-        length = np.sqrt(1.0 + gx * gx + gy * gy)
-        terms = np.stack([share, share * gx / length, share * gy / length], axis=-1)
-        return np.asarray((terms[:, :, None] * here).sum(axis=1))
+        colors = np.empty((len(gx), 3))
+        _contact_colors(self.contact.change, self.contact.depth_mm, gx, gy, depth_mm, u, v, colors)
+        return colors
 
     def save(self) -> TableSection:
         """As of ``ImageModel``; the response in half precision."""
@@ -148,3 +138,36 @@ class Response(ImageModel):
                 "nodes of position and a depth above 0"
             )
         return problems
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _contact_colors(
+    change: NDArray[Any],
+    half_mm: float,
+    gx: NDArray[Any],
+    gy: NDArray[Any],
+    depth_mm: NDArray[Any],
+    u: NDArray[Any],
+    v: NDArray[Any],
+    colors: NDArray[Any],
+) -> None:
+    """The grey levels of :class:`ContactLight`, between its nodes, into ``colors`` (n, 3)."""
+    n_rows, n_columns = change.shape[:2]
+    for k in range(len(gx)):
+        down, across = (v[k] + 0.5) * (n_rows - 1), (u[k] + 0.5) * (n_columns - 1)
+        row = min(max(int(down), 0), n_rows - 2)
+        column = min(max(int(across), 0), n_columns - 2)
+        down, across = down - row, across - column
+        depth = max(depth_mm[k], 0.0)
+        share = depth / (depth + half_mm)
+        length = math.sqrt(1.0 + gx[k] * gx[k] + gy[k] * gy[k])
+        for c in range(3):
+            total = 0.0
+            for term in range(3):
+                upper = change[row, column, term, c]
+                upper += across * (change[row, column + 1, term, c] - upper)
+                lower = change[row + 1, column, term, c]
+                lower += across * (change[row + 1, column + 1, term, c] - lower)
+                here = upper + down * (lower - upper)
+                total += here * (1.0 if term == 0 else (gx[k] if term == 1 else gy[k]) / length)
+            colors[k, c] = share * total
