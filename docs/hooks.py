@@ -23,9 +23,9 @@ from tacgen.contact.effects import all_effects
 from tacgen.core import records
 from tacgen.core.resources import packaged
 from tacgen.core.schema import kind_of, read_yaml
+from tacgen.core.sensors import _SensorYaml
 from tacgen.diagnose.rules import ContactRules, SearchRules
 from tacgen.objects.description import ObjectDescription
-from tacgen.sensor.description import _SensorYaml
 
 UNITS = {
     "mm3_per_n": "mm³/N",

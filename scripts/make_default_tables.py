@@ -15,12 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RegularGridInterpolator
 
+from scripts.reference_background import with_reference
 from tacgen.calibrate.lookup.score import TableScore, score_table
 from tacgen.calibrate.lookup.table_fit import Calibration, calibrate, fit_lookup
 from tacgen.contact.gel import gel_map_mm, pixel_centers_mm
 from tacgen.contact.indentation import contact_depth
 from tacgen.core.records import Sensor
 from tacgen.core.resources import packaged
+from tacgen.core.sensors import load_sensor
 from tacgen.core.types import FloatArray
 from tacgen.optics.deform import deform
 from tacgen.optics.image_models import Response, nearest_quadratic
@@ -29,8 +31,6 @@ from tacgen.optics.virtual_sensor import VirtualSensor
 from tacgen.presses.press_folder import read_presses
 from tacgen.presses.press_images import PressImages
 from tacgen.presses.screening import usable_presses
-from tacgen.sensor.description import load_sensor
-from validation.optics.sampled_table import with_reference
 
 VIRTUAL = "virtual_gelsight"
 

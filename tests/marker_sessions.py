@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from tacgen.core.sensors import load_sensor
 from tacgen.presses.marker_tracks import MarkerTracks, read_marker_tracks
 from tacgen.presses.press_log import PressLog, read_press_log
 from tacgen.rig import load_rig_recipe, run_rig
 from tacgen.rig.rig_recipe import MarkerTracks as TrackRecipe
-from tacgen.sensor.description import load_sensor
 
 K_N, K_S = 5.135, 0.8
 SENSOR = load_sensor("virtual_gelsight", needs_table=False)

@@ -24,9 +24,9 @@ import pandas as pd
 import tacgen
 from tacgen.core.errors import TacgenError
 from tacgen.core.records import Mesh
+from tacgen.core.sensors import load_sensor
 from tacgen.dataset.export import FORMATS, export_dataset
 from tacgen.objects import load_object
-from tacgen.sensor.description import load_sensor
 from tests.small_world import write_world
 from validation.batch.frames import Frame, random_frames
 

@@ -104,6 +104,7 @@ def attributions() -> dict[str, str]:
 
 def contact_and_markers() -> dict[str, str]:
     """``diagnosis.json`` and ``contact.yaml`` of a log of the virtual rig with marker tracks."""
+    from tacgen.calibrate.contact.command import LogSource
     from tacgen.diagnose.contact.command import diagnose_log
     from tacgen.rig import load_rig_recipe, run_rig
     from tacgen.rig.rig_recipe import MarkerTracks
@@ -118,12 +119,9 @@ def contact_and_markers() -> dict[str, str]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         run_rig(recipe, folder)
-        diagnose_log(
-            folder / "press_log.csv",
-            folder / "out",
-            markers=folder / "markers.csv",
-            sensor="virtual_gelsight",
-        )
+        tracks, sensor = folder / "markers.csv", "virtual_gelsight"
+        source = LogSource(folder / "press_log.csv", markers=tracks, sensor=sensor)
+        diagnose_log(source, folder / "out")
         return {
             "diagnosis/contact": _record(folder / "out"),
             "diagnosis/law": _law(folder / "out" / "contact.yaml"),
@@ -146,7 +144,7 @@ def grasps() -> dict[str, str]:
     """``diagnosis.json`` of grasps of a box whose centre of mass is off."""
     import pandas as pd
 
-    from tacgen.collection.perturbed import Perturbation, place_of, simulate_perturbed
+    from tacgen.collection.perturbed import Perturbation, simulate_perturbed
     from tacgen.collection.recipe import Recipe
     from tacgen.core.records import GraspConfig
     from tacgen.dataset.real_grasps import read_real_grasps
@@ -173,7 +171,7 @@ def grasps() -> dict[str, str]:
         folder = Path(name)
         found = simulate_perturbed(recipe, [(c, world) for c in configs], folder / "w", workers=1)
         rows = [
-            (f"g{c.index}", GRASPS_BOX, c.force_n, 0, c.y_mm, c.z_mm, found[place_of(c), world])
+            (f"g{c.index}", GRASPS_BOX, c.force_n, 0, c.y_mm, c.z_mm, found[c.point, world])
             for c in configs
         ]
         columns = ["grasp_id", "object", "force_n", "x_mm", "y_mm", "z_mm", "label"]

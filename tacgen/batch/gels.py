@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.contact.gel_response import GelCourse, GelLoad, gel_load, gel_loads
 from tacgen.contact.law import ContactLaw
 from tacgen.core.records import ContactFrame
 from tacgen.core.types import FloatArray
-from tacgen.sensor.gel_response import GelCourse, GelLoad, gel_load, gel_loads
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,10 +8,11 @@ import warp as wp
 from numpy.typing import NDArray
 
 from tacgen.batch.warp_worlds import WarpWorlds, find_device, undrawable
+from tacgen.contact.indenter import Imprint
 from tacgen.core.errors import SensorError
 from tacgen.optics import shade
 from tacgen.optics.noise import CameraNoise
-from tacgen.sensor.tactile_pad import Imprint, TactilePad
+from tacgen.sensor.tactile_pad import TactilePad
 
 
 def name_of(device: str, pad: TactilePad) -> str:

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from tacgen.batch.arrays import as_kind, as_numpy, check_memory, free_bytes
 from tacgen.batch.gels import Loads
 from tacgen.contact.gap import checked_mesh
+from tacgen.contact.indenter import Imprint
 from tacgen.core.errors import ContactError
 from tacgen.core.processes import available_cores
 from tacgen.core.records import Mesh, rng_of
-from tacgen.sensor.tactile_pad import Imprint, TactilePad
+from tacgen.sensor.tactile_pad import TactilePad
 
 PAD_BYTES_PER_PX = 150
 """Memory of one pad: maps of gaps, heights and grey levels, measured at 640 × 480."""

@@ -15,6 +15,8 @@ from tacgen.batch.gels import Loads
 from tacgen.batch.threads import WRONG_MAP
 from tacgen.contact.gap import GAP_GRAIN_MM, NO_OBJECT, Surround, checked_mesh
 from tacgen.contact.gel import gel_map_mm
+from tacgen.contact.gel_shear import GelShear
+from tacgen.contact.indenter import FIELD_POINTS
 from tacgen.contact.shear import DILATION_DECAY_PER_MM2, DILATION_GAIN, marker_grid_mm
 from tacgen.contact.shear_field import ShearState
 from tacgen.core.errors import ContactError, SensorError, TableError
@@ -31,8 +33,6 @@ from tacgen.optics.noise import CameraNoise
 from tacgen.optics.render import Shader
 from tacgen.optics.smooth import BEYOND, Gaussian
 from tacgen.optics.table import LookupTable
-from tacgen.sensor.gel_shear import GelShear
-from tacgen.sensor.tactile_pad import FIELD_POINTS
 
 PART = 1024
 """Worlds that are worked on at a time: more threads than a GPU has, for the solves of a thread a

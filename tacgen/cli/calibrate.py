@@ -1,6 +1,5 @@
 """Commands that calibrate a sensor, and the virtual rig that simulates presses for them."""
 
-import math
 from pathlib import Path
 from typing import Annotated
 
@@ -72,7 +71,7 @@ def calibrate_lookup(
 ) -> None:
     """Fit the lookup table to images of ball presses; prints its error on held-out presses."""
     from tacgen.calibrate.lookup import command
-    from tacgen.sensor.description import shipped_sensor
+    from tacgen.core.sensors import shipped_sensor
 
     refuse_existing(force, out)
     made, used = command.calibrate_lookup(
@@ -172,11 +171,10 @@ def calibrate_export(
     require_known("--format", format_name, ("taxim", "mujoco"), TableError)
     if format_name == "mujoco":
         from tacgen.calibrate.contact.mujoco_export import export_mujoco
-        from tacgen.contact.law import load_law
-        from tacgen.sensor.description import SensorChoice, load_sensor
+        from tacgen.core.sensors import SensorChoice, load_sensor
 
         choice = SensorChoice(name=sensor, dome_radius_mm=dome_radius_mm)
-        pad = export_mujoco(load_law(calibrated), load_sensor(choice, needs_table=False), out)
+        pad = export_mujoco(calibrated, load_sensor(choice, needs_table=False), out)
         common.warn([f"left out: {', '.join(pad.left_out)}"] if pad.left_out else [])
         path = out / "pad.xml"
         common.print_result(
@@ -185,7 +183,7 @@ def calibrate_export(
         common.hand_over(f'mujoco.MjSpec.from_file("{path.resolve()}").body("pad")  # attach it')
         return
     from tacgen.calibrate.lookup.taxim_export import export_taxim
-    from tacgen.optics.table import load_table
+    from tacgen.optics import load_table
 
     loaded = load_table(calibrated)
     loss = export_taxim(loaded, out, dome_radius_mm)
@@ -235,18 +233,15 @@ def calibrate_contact(
 
     With marker tracks also friction and decay of the gel's shear field.
     """
+    from tacgen.calibrate.contact.command import LogSource, result_text
     from tacgen.calibrate.contact.command import calibrate_contact as calibrate
-    from tacgen.calibrate.contact.command import result_text
     from tacgen.presses.lab_table import LogFormat
 
     log_format = LogFormat.of_options(column or [], flip or [], force_unit)
     measured = out.with_suffix(".csv") if log.is_dir() else log
     refuse_existing(force, out, *([measured] if measured != log else []))
-    result = calibrate(
-        log, out, report, by=by, contact_point=contact_point, log_format=log_format,
-        marker_pitch_mm=math.nan if marker_pitch_mm is None else marker_pitch_mm,
-        radius_mm=radius_mm, table=table, markers=markers, sensor=sensor,
-    )  # fmt: skip
+    source = LogSource(log, log_format, radius_mm, table, marker_pitch_mm, markers, sensor)
+    result = calibrate(source, out, report, by=by, contact_point=contact_point)
     common.warn(result.warnings)
     typer.echo(result_text(result, json_output=json_output))
     options = [] if measured != log else log_format.arguments
@@ -270,8 +265,8 @@ def friction(
     json_output: common.JsonFlag = False,
 ) -> None:
     """Fit each object's friction μ so that simulated grasps match the labels of real ones."""
-    from tacgen.calibrate.friction import sweep
-    from tacgen.calibrate.friction.report import verdict_of, write_friction_report
+    from tacgen.collection import friction as sweep
+    from tacgen.collection.friction_report import verdict_of, write_friction_report
     from tacgen.collection.recipe import known_objects, load_recipe
     from tacgen.core.progress import progress_counter
     from tacgen.dataset.real_grasps import read_real_grasps
@@ -299,7 +294,10 @@ def friction(
 
 @common.app.command(rich_help_panel=common.CALIBRATION)
 def read(
-    images: Annotated[list[Path], Argument(help="Images of the sensor (PNG or JPEG).")],
+    images: Annotated[
+        list[Path],
+        Argument(help="Images of the sensor (PNG or JPEG), a folder of them, or a video."),
+    ],
     sensor: Annotated[str, Option(help="Name of the sensor, or the path of its YAML.")],
     out: Annotated[Path, Option(help="Folder for readings.csv and depth maps.")],
     table: Annotated[Path | None, Option(help="Table of `tacgen calibrate lookup`.")] = None,
@@ -307,10 +305,13 @@ def read(
     background: Annotated[Path | None, Option(help="Gel at rest; else the table's own.")] = None,
     json_output: common.JsonFlag = False,
 ) -> None:
-    """Read depth, contact, volume and force from images of a calibrated sensor."""
+    """Read depth, contact, volume and force from images or a video of a calibrated sensor."""
+    from tacgen.core.errors import SensorError
+    from tacgen.core.progress import progress_counter
     from tacgen.core.safe_io import read_rgb
     from tacgen.optics import load_table
     from tacgen.sensor.read_image import ImageReader, read_files, reading_line
+    from tacgen.sensor.recordings import is_recording, read_recording
     from tacgen.sensor.simulated import Sensor
 
     at_rest = None if background is None else read_rgb(background)
@@ -321,8 +322,23 @@ def read(
     if contact is None:
         k_n = known.law.k_n_mm3_per_n.value
         common.warn([f"no --contact: forces are by the published k_n = {k_n:g} mm³/N"])
-    rows = read_files(ImageReader(known, at_rest), images, out)
-    common.print_result(rows, [*map(reading_line, rows), str(out / "readings.csv")], json_output)
+    reader = ImageReader(known, at_rest)
+    if any(map(is_recording, images)):
+        if len(images) > 1:
+            msg = f"{images[0]} and {len(images) - 1} more: give one folder or video at a time"
+            raise SensorError(msg)
+        with progress_counter("picture") as show:
+            found = read_recording(reader, images[0], out, show)
+        line = (
+            f"{found['file']}: {found['pictures']} pictures, {found['with_contact']} of a contact"
+        )
+        if found["largest_force_n"] is not None:
+            line += f", up to {found['largest_force_n']:.2f} N"
+        common.print_result(found, line, json_output)
+    else:
+        rows = read_files(reader, images, out)
+        lines = [*map(reading_line, rows), str(out / "readings.csv")]
+        common.print_result(rows, lines, json_output)
     files = {key: str(path) for key, path in (("table", table), ("contact", contact)) if path}
     given = "".join(f", {key}={value!r}" for key, value in (files | geometry).items())
     call = f"tacgen.read_image(image_rgb, tacgen.Sensor({sensor!r}{given}))"

@@ -273,7 +273,7 @@ def session_sensor(presses: Path) -> Path | None:
     """The sensor that a folder of presses describes in full, as a rig's does; None elsewhere."""
     from tacgen.core.errors import TacgenError
     from tacgen.core.files import is_file
-    from tacgen.sensor.description import load_sensor
+    from tacgen.core.sensors import load_sensor
 
     path = presses / "sensor.yaml"
     if not is_file(path):
@@ -293,7 +293,7 @@ def table_lines(
     dome_radius_mm: float | None = None,
 ) -> list[str]:
     """Lines of a recipe that use a lookup table, with the sensor that its presses are of."""
-    from tacgen.sensor.description import sensor_lines
+    from tacgen.core.sensors import sensor_lines
 
     if presses is not None and (sensor := session_sensor(presses)) is not None:
         return [IN_RECIPE, f"sensor: {{name: {sensor}, table: {path}}}"]

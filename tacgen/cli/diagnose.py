@@ -1,7 +1,6 @@
 """Commands that find effects missing from the contact law, the lookup table or the grasps."""
 
 import json
-import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -55,6 +54,7 @@ def diagnose_contact(
     json_output: common.JsonFlag = False,
 ) -> None:
     """Extend the linear contact law by the effects that a press log supports."""
+    from tacgen.calibrate.contact.command import LogSource
     from tacgen.diagnose.contact.command import diagnose_log
     from tacgen.diagnose.contact.result import diagnosis_record
     from tacgen.presses.lab_table import LogFormat
@@ -66,11 +66,8 @@ def diagnose_contact(
         from tacgen.rig import load_rig_recipe
 
         loaded_rig = load_rig_recipe(rig)
-    pitch_mm = math.nan if marker_pitch_mm is None else marker_pitch_mm
-    diagnosis = diagnose_log(
-        log, out, marker_pitch_mm=pitch_mm, log_format=log_format, radius_mm=radius_mm, table=table,
-        markers=markers, sensor=sensor,
-    )  # fmt: skip
+    source = LogSource(log, log_format, radius_mm, table, marker_pitch_mm, markers, sensor)
+    diagnosis = diagnose_log(source, out)
     common.note(diagnosis.notes)
     if grasp is not None:
         from tacgen.collection.recipe import load_recipe
@@ -111,6 +108,39 @@ def _propose_presses(diagnosis: "Diagnosis", rig: "RigRecipe", count: int, path:
         f"presses to make next: {path}; the first separates {table['separates'][0]}",
         f"schedule: {{follow: {quoted}}}   # in a rig recipe; they follow its own presses",
     )
+
+
+@common.diagnose_app.command("presses")
+def diagnose_presses_command(
+    session: Annotated[
+        Path,
+        Argument(
+            help="Folder of a session: press images with presses.csv, press_log.csv, or both, as "
+            "`tacgen rig` leaves it.",
+            exists=True,
+            file_okay=False,
+        ),
+    ],
+    out: Annotated[Path, Option(help="Folder for diagnosis.json, report.html and each part.")],
+    mm_per_px: common.MmPerPxOption = None,
+    ball_radius_mm: common.BallRadiusOption = None,
+    sensor: Annotated[
+        str | None, Option(help="Of the dots in markers.csv: the sensor's name or YAML file.")
+    ] = None,
+    force: common.ForceFlag = False,
+    json_output: common.JsonFlag = False,
+) -> None:
+    """Diagnose all that a session of presses holds, pictures and forces, on one page."""
+    from tacgen.diagnose.session import CHANNELS, diagnose_session
+
+    refuse_existing(force, out / "diagnosis.json")
+    record = diagnose_session(
+        session, out, mm_per_px=mm_per_px, ball_radius_mm=ball_radius_mm, sensor=sensor
+    )
+    common.note(record["notes"])
+    sentences = [f"{CHANNELS[name]}: {one['sentence']}" for name, one in record["channels"].items()]
+    common.print_result(record, sentences, json_output)
+    common.hand_over(f"the page: {out / 'report.html'}")
 
 
 @common.diagnose_app.command("optics")

@@ -31,8 +31,8 @@ def bench(
     device: Annotated[str, Option(help="Of the batches: cpu or cuda.")] = "cpu",
     json_output: common.JsonFlag = False,
 ) -> None:
-    """Measure the time of frames and grasps on this machine: medians, one thread."""
-    from tacgen.collection.bench import BATCHES, batch_figures, run_benchmarks
+    """Measure what frames, grasps, readings, a table and a diagnosis take on this machine."""
+    from tacgen.cli.bench import BATCHES, batch_figures, run_benchmarks
 
     figures = list(
         batch_figures(worlds or BATCHES, device, repeats)

@@ -79,7 +79,7 @@ def objects_add(
     """Import a mesh into ./objects; recipes can then name it."""
     from tacgen.core.errors import ObjectError
     from tacgen.core.progress import print_status
-    from tacgen.objects.add import add_object, meshes_in
+    from tacgen.objects.add import MeshFacts, add_object, meshes_in
     from tacgen.objects.description import read_description
     from tacgen.objects.listing import facts_text, object_facts
     from tacgen.objects.picture import write_picture
@@ -89,6 +89,7 @@ def objects_add(
     if len(meshes) > 1 and name is not None:
         msg = f"{mesh}: --name is for one mesh, the folder has {len(meshes)}; leave it out"
         raise ObjectError(msg)
+    facts = MeshFacts(mass_kg, scale, name, friction, up, yaw_rad, keep_pose)
     records, texts, done = [], [], list[str]()
     for number, path in enumerate(meshes, start=1):
         of = f" ({number} of {len(meshes)})" if len(meshes) > 1 else ""
@@ -97,19 +98,16 @@ def objects_add(
             print_status(f"{where}: {step}")
 
         try:
-            added = add_object(
-                path, mass_kg=mass_kg, scale=scale, name=name, friction=friction, up=up,
-                yaw_rad=yaw_rad, keep_pose=keep_pose, force=force, on_step=on_step,
-            )  # fmt: skip
+            added = add_object(path, facts, force=force, on_step=on_step)
         except ObjectError as error:
             refused.append(str(error))
             continue
         common.note(added.notes)
         folder = Path("objects") / added.object.name
-        facts = object_facts(added.object, read_description(folder))
+        known = object_facts(added.object, read_description(folder))
         write_picture(added.object, folder / "picture.png", added.toppled_from)
-        records.append(facts)
-        texts.append(facts_text(facts))
+        records.append(known)
+        texts.append(facts_text(known))
         done.append(added.object.name)
     if not done:
         raise ObjectError.from_problems(refused)

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from tacgen.collection.grid import AXES, draw, grown_plan, whole_grid
+from tacgen.collection.grid import draw, grown_plan, whole_grid
 from tacgen.collection.recipe import Recipe
+from tacgen.core.records import AXES
 from tacgen.core.types import BoolArray, FloatArray, IntArray
 from tacgen.dataset import Dataset
 

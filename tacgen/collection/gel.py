@@ -4,11 +4,11 @@ import math
 from dataclasses import replace
 
 from tacgen.collection.recipe import Contact, Recipe
+from tacgen.contact.gel_response import gel_loads
+from tacgen.contact.indenter import Indenter
 from tacgen.contact.law import USUAL_PITCH_MM, ContactLaw, load_law
 from tacgen.core.records import ContactFrame, ContactPatch, Estimate, Mesh, Sensor
-from tacgen.sensor.description import load_sensor
-from tacgen.sensor.gel_response import gel_loads
-from tacgen.sensor.tactile_pad import Indenter
+from tacgen.core.sensors import load_sensor
 
 SETTLED_PRESS = 1_000_000
 """The number of a simulated grasp on its gel: the first presses, which differ, are long past."""

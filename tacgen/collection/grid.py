@@ -15,18 +15,14 @@ import pandas as pd
 from tacgen.collection.recipe import Grid, ObjectEntry, Recipe
 from tacgen.core.errors import RecipeError
 from tacgen.core.progress import print_once
-from tacgen.core.records import GraspConfig, unit_problems
+from tacgen.core.records import AXES, GraspConfig, GraspPoint, unit_problems
 from tacgen.objects.description import read_description
 from tacgen.physics.settings import force_problem
 
-AXES = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
 Grids = Sequence[Mapping[str, Any]]
 """The grids of a recipe's objects, a record each."""
 MAX_GRASPS = 10_000_000  # years of one machine: a misspelt axis
 SAME_YAW_RAD = 0.005  # after a whole turn: π is also written as 3.14
-
-Point = tuple[str, float, float, float, float, float]
-"""What identifies a grasp: its object and the values of ``AXES``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,9 +238,9 @@ def _scaled(
     return tuple(dict.fromkeys(scaled))
 
 
-def _points(seed: int, grids: Grids, there: Mapping[str, Sequence[Point]]) -> list[Point]:
+def _points(seed: int, grids: Grids, there: Mapping[str, Sequence[GraspPoint]]) -> list[GraspPoint]:
     """Every grasp of some objects' grids, in order; a sample holds those that are ``there``."""
-    found: list[Point] = []
+    found: list[GraspPoint] = []
     for grid in grids:
         name, sample = str(grid["object"]), grid.get("sample")
         points = whole_grid(grid)
@@ -258,7 +254,7 @@ def _points(seed: int, grids: Grids, there: Mapping[str, Sequence[Point]]) -> li
     return found
 
 
-def whole_grid(grid: Mapping[str, Any]) -> list[Point]:
+def whole_grid(grid: Mapping[str, Any]) -> list[GraspPoint]:
     """Every point of an object's grid, or of its list, in order."""
     name = str(grid["object"])
     axes = [[float(value) + 0.0 for value in grid.get(axis, ())] for axis in AXES]
@@ -266,9 +262,9 @@ def whole_grid(grid: Mapping[str, Any]) -> list[Point]:
     return [(name, *map(float, point)) for point in points]  # type: ignore[misc]
 
 
-def _parts(seed: int, grids: Sequence[Grids]) -> list[list[Point]]:
+def _parts(seed: int, grids: Sequence[Grids]) -> list[list[GraspPoint]]:
     """The grasps that each of a dataset's grids added."""
-    parts: list[list[Point]] = []
+    parts: list[list[GraspPoint]] = []
     for grid in grids:
         there = _by_object(parts)
         before = {point for points in there.values() for point in points}
@@ -276,8 +272,8 @@ def _parts(seed: int, grids: Sequence[Grids]) -> list[list[Point]]:
     return parts
 
 
-def _by_object(parts: Sequence[Sequence[Point]]) -> dict[str, list[Point]]:
-    found: dict[str, list[Point]] = {}
+def _by_object(parts: Sequence[Sequence[GraspPoint]]) -> dict[str, list[GraspPoint]]:
+    found: dict[str, list[GraspPoint]] = {}
     for part in parts:
         for point in part:
             found.setdefault(point[0], []).append(point)
@@ -285,13 +281,13 @@ def _by_object(parts: Sequence[Sequence[Point]]) -> dict[str, list[Point]]:
 
 
 def _splits(
-    recipe: Recipe, grids: Sequence[Grids], parts: Sequence[Sequence[Point]]
-) -> dict[Point, str]:
+    recipe: Recipe, grids: Sequence[Grids], parts: Sequence[Sequence[GraspPoint]]
+) -> dict[GraspPoint, str]:
     """The side of each grasp: a list's own, else of each object the test fraction by draws.
 
     A grasp that a dataset grows by changes no side of those before it.
     """
-    sides: dict[Point, str] = {}
+    sides: dict[GraspPoint, str] = {}
     counts: dict[str, tuple[int, int]] = {}  # grasps and test grasps of each object so far
     for grid, part in zip(grids, parts, strict=True):
         records = {str(record["object"]): record for record in grid}
@@ -311,7 +307,7 @@ def _splits(
     return sides
 
 
-def draw(seed: int, stream: str, point: Point) -> int:
+def draw(seed: int, stream: str, point: GraspPoint) -> int:
     """A random number below 2⁶³ of the recipe's seed and the grasp's own content alone."""
     digest = hashlib.sha256(repr((seed, stream, *point)).encode()).digest()
     return int.from_bytes(digest[:8], "big") >> 1

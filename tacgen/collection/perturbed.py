@@ -13,15 +13,15 @@ from tacgen.collection.gel import contact_law, gel_patch, mounted_sensor
 from tacgen.collection.inputs import recipe_inputs
 from tacgen.collection.kept import kept_results
 from tacgen.collection.recipe import ObjectEntry, Randomize, Recipe
+from tacgen.contact.indenter import Indenter
 from tacgen.core.errors import DatasetError
 from tacgen.core.files import sha256_of_content
 from tacgen.core.processes import Report
-from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, Mesh, frozen_array
+from tacgen.core.records import GraspConfig, GraspObject, GraspPoint, GraspTrace, Mesh, frozen_array
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.objects import load_object
-from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
+from tacgen.physics import FrameRequest, GelModel, GraspSimulator, PhysicsSettings, run_grasp
 from tacgen.physics.settings import force_problem
-from tacgen.sensor.tactile_pad import Indenter
 
 OUTCOMES = "outcomes.jsonl"
 """The file of finished simulations in a folder of results."""
@@ -303,15 +303,8 @@ class Outcome:
         return cls(trace.label, trace.failure_mode, *ratios, trace.rise_mm, turn_ratio, whole)
 
 
-Place = tuple[str, float, float, float, float, float]
-"""A configuration without its number: what was asked for."""
-OutcomeKey = tuple[Place, Perturbation]
+OutcomeKey = tuple[GraspPoint, Perturbation]
 _CRASHED = Outcome(-1, "", status="crashed")
-
-
-def place_of(config: GraspConfig) -> Place:
-    """The configuration without its number."""
-    return config.object, config.force_n, config.x_mm, config.y_mm, config.z_mm, config.yaw_rad
 
 
 def check_forces(recipe: Recipe, real: RealGrasps) -> None:
@@ -368,9 +361,9 @@ def simulate_perturbed(
     perturbations; an interrupted run goes on from there. They carry a hash of all that the outcome
     depends on and the whole configuration, and are used for nothing else.
     """
-    found: dict[Place, tuple[GraspConfig, dict[Perturbation, None]]] = {}
+    found: dict[GraspPoint, tuple[GraspConfig, dict[Perturbation, None]]] = {}
     for config, change in wanted:
-        found.setdefault(place_of(config), (config, {}))[1][change] = None
+        found.setdefault(config.point, (config, {}))[1][change] = None
     tasks = [(config, tuple(changes)) for config, changes in found.values()]
     names = {config.object for config, _ in tasks}
     inputs = recipe_inputs(recipe, names)
@@ -379,7 +372,7 @@ def simulate_perturbed(
         [
             {
                 "declared": declared[config.object],
-                "grasp": place_of(config),
+                "grasp": config.point,
                 "changes": change.changes(),
             }
             for change in changes
@@ -391,7 +384,7 @@ def simulate_perturbed(
         out / OUTCOMES, items, job, lambda kept: Outcome(**kept), workers=workers, show=show
     )
     return {
-        (place_of(config), change): outcome
+        (config.point, change): outcome
         for (config, changes), of_changes in zip(tasks, outcomes, strict=True)
         for change, outcome in zip(changes, of_changes, strict=True)
     }
@@ -429,8 +422,9 @@ def _grasp_job(
                     replace(config, index=task),
                     changed,
                     frames=FrameRequest(),
-                    patch_of=partial(gel_patch, indenter, law, grasped.surface),
-                    keeps_past=bool(law.effects),
+                    gel=GelModel(
+                        partial(gel_patch, indenter, law, grasped.surface), bool(law.effects)
+                    ),
                 )
                 found.append(asdict(Outcome.of(trace, changed)))
             return found

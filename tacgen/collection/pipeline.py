@@ -22,19 +22,18 @@ from tacgen.collection.perturbed import (
 )
 from tacgen.collection.recipe import Recipe
 from tacgen.collection.scene import PICTURE_PX, camera_samples, cameras_of, grasp_picture
+from tacgen.contact.gel_response import GelLoad, gel_loads, is_near, rounded_pose_and_load
+from tacgen.contact.indenter import Imprint
 from tacgen.contact.law import ContactLaw
-from tacgen.core.errors import SensorError, TableError, require_extra
+from tacgen.core.errors import SensorError, require_extra
 from tacgen.core.records import ContactFrame, GraspConfig, GraspObject, GraspTrace, rng_of
+from tacgen.core.sensors import load_sensor
 from tacgen.core.types import FloatArray
 from tacgen.dataset import CameraSample, DatasetSpec, GraspSample, PadSample
-from tacgen.optics import load_table
-from tacgen.optics.visible import visible_share
-from tacgen.physics import FrameRequest, GraspSimulator
+from tacgen.physics import FrameRequest, GelModel, GraspSimulator
 from tacgen.physics.grasp import StartedGrasp, not_executed
 from tacgen.physics.rest import topples_deg
-from tacgen.sensor.description import load_sensor
-from tacgen.sensor.gel_response import GelLoad, gel_loads, is_near, rounded_pose_and_load
-from tacgen.sensor.tactile_pad import Imprint, TactileFrame, TactilePad
+from tacgen.sensor.tactile_pad import TactilePad
 
 CALIBRATION = ("table", "contact_law")
 # Streams of one grasp's random numbers.
@@ -84,7 +83,6 @@ class GraspPipeline:
         self.recipe, self._settings = recipe, recipe.physics_settings
         self._law = contact_law(recipe.contact)
         self._pad = tactile_pad(recipe)
-        self._at_rest = self._pad.image(Imprint())
         self._on_device = None
         if device != "none":
             require_extra("batch", f"optics.device = {device!r} needs", SensorError)
@@ -128,8 +126,7 @@ class GraspPipeline:
             config,
             self._settings,
             frames=frames or self.recipe.frames,
-            patch_of=patch_of,
-            keeps_past=bool(self._law.effects),
+            gel=GelModel(patch_of, bool(self._law.effects)),
         )
         return HeldGrasp(started, partial(SimulatedGrasp, planned, grasped, config, variation))
 
@@ -163,8 +160,8 @@ class GraspPipeline:
         *,
         rng: np.random.Generator | None = None,
         law: ContactLaw | None = None,
-    ) -> tuple[NDArray[np.uint8], list[TactileFrame]]:
-        """The images (T, H, W, 3) and frames of a pad by ``law``, else the recipe's, before gain.
+    ) -> tuple[NDArray[np.uint8], list[Imprint]]:
+        """The images (T, H, W, 3) and imprints of a pad by ``law``, else the recipe's, before gain.
 
         ``rng`` draws the camera's noise.
         """
@@ -175,7 +172,7 @@ class GraspPipeline:
             images = np.empty((len(imprints), *self._pad.sensor.shape_px, 3), dtype=np.uint8)
             for imprint, rgb in zip(imprints, images, strict=True):
                 self._pad.image(imprint, rng=rng, rgb=rgb)
-        return images, [TactileFrame(*one) for one in zip(images, imprints, strict=True)]
+        return images, imprints
 
     def _imprints(self, grasp: SimulatedGrasp, pad: str, law: ContactLaw) -> list[Imprint]:
         """What a pad's gel shows in each frame.
@@ -234,31 +231,16 @@ class GraspPipeline:
     def sample(self, planned: PlannedGrasp) -> GraspSample:
         """Simulate one grasp and render the images of its pads."""
         grasp = self.simulate(planned)
-        trace, frame = grasp.trace, grasp.trace.grasp_frame
-        executed = trace.status == "executed"
-        picture = None
-        if self.recipe.dataset.scene_pictures:
-            picture = self.picture(grasp)
+        trace, executed = grasp.trace, grasp.trace.status == "executed"
         return GraspSample(
+            **trace.outcome(),
             config=planned.config,
             seed=planned.seed,
             split=planned.split,
-            status=trace.status,
-            label=trace.label,
-            failure_mode=trace.failure_mode,
             pads=self.pad_samples(grasp) if executed else {},
             object_pose=trace.object_pose if executed else None,
-            rise_mm=trace.rise_mm,
-            turn_rad=trace.turn_rad,
-            margin=trace.margin,
             label_confidence=label_confidence(trace, grasp.grasped, self.recipe),
-            grasp_frame=frame,
-            grasp_time_s=trace.grasp_time_s,
-            lift_start_time_s=trace.lift_start_time_s,
-            lift_end_time_s=trace.lift_end_time_s,
-            outcome_time_s=trace.outcome_time_s,
-            picture=picture,
-            reason=trace.reason,
+            picture=self.picture(grasp) if self.recipe.dataset.scene_pictures else None,
             cameras=self.camera_samples(grasp) if executed else {},
         )
 
@@ -274,15 +256,12 @@ class GraspPipeline:
         samples = {}
         for pad, frames in trace.frames.items():
             if executed:
-                images, rendered = self.render(grasp, pad, rng=noise)
-                imprints = [one.imprint for one in rendered]
+                images, imprints = self.render(grasp, pad, rng=noise)
             else:
                 frames, imprints = (_UNLOADED,) * count, [Imprint()] * count
                 images = np.stack([self._pad.image(one, rng=noise) for one in imprints])
             rgb = with_gain(images, grasp.variation.gain_factor)
-            shares = [
-                visible_share(one, self._at_rest, self._pad.table.noise_grey) for one in images
-            ]
+            shares = [self._pad.visible_share(one) for one in images]
             samples[pad] = self._pad_sample(rgb, frames, imprints, trace.grasp_frame, shares)
         return samples
 
@@ -340,21 +319,9 @@ class GraspPipeline:
 
 
 def tactile_pad(recipe: Recipe) -> TactilePad:
-    """The tactile pad of a recipe with its table.
-
-    Raises ``TableError`` if the table cannot be read, or is of another resolution than the sensor.
-    """
-    sensor = mounted_sensor(recipe)
-    table = load_table(sensor.table)
-    if table.shape_px != sensor.shape_px:
-        (rows, columns), (height, width) = table.shape_px, sensor.shape_px
-        msg = (
-            f"{sensor.table}: the table is of {columns}×{rows} pixels, the sensor {sensor.name!r} "
-            f"of {width}×{height}; give the table that was calibrated on it"
-        )
-        raise TableError(msg)
+    """The tactile pad of a recipe with its table; raises as ``TactilePad``."""
     drawn = recipe.optics.model_dump(include={"shadows", "markers"})
-    return TactilePad(sensor, table, camera=recipe.contact.camera, **drawn)
+    return TactilePad(mounted_sensor(recipe), camera=recipe.contact.camera, **drawn)
 
 
 def planned_times_s(recipe: Recipe) -> tuple[float, ...]:
@@ -392,7 +359,7 @@ def dataset_spec(
     sensor = load_sensor(recipe.sensor)
     inputs = recipe_inputs(recipe)
     at_load = recipe.optics.noise == "at_load"
-    table, pad, asked = load_table(sensor.table), tactile_pad(recipe), recipe.dataset
+    pad, asked = tactile_pad(recipe), recipe.dataset
     return DatasetSpec(
         recipe=recipe.resolved(folder),
         recipe_sha256=inputs.sha256["recipe"],
@@ -405,9 +372,9 @@ def dataset_spec(
         time_s=planned_times_s(recipe),
         n_grasps=n_grasps,
         shard_size=recipe.dataset.shard_size,
-        reference_rgb=pad.image(Imprint()),
-        noise_at_load_grey=table.noise_grey if at_load else 0.0,
-        colors_from=table.origin,
+        reference_rgb=pad.at_rest_rgb,
+        noise_at_load_grey=pad.table.noise_grey if at_load else 0.0,
+        colors_from=pad.table.origin,
         depth=asked.depth == "grasp",
         depth_of_frames=asked.depth == "all",
         marker_rest_mm=pad.marker_rest_mm if asked.markers else None,

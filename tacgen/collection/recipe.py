@@ -43,6 +43,12 @@ from tacgen.core.schema import (
     load_checked,
     problem_text,
 )
+from tacgen.core.sensors import (
+    SensorByName,
+    SensorChoice,
+    load_sensor,
+    sensor_problems,
+)
 from tacgen.core.types import PUBLISHED_K_N_MM3_PER_N, k_n_doubt
 from tacgen.dataset.manifest import MAX_SHARD_GRASPS
 from tacgen.dataset.schema import MAX_CELLS
@@ -53,12 +59,6 @@ from tacgen.physics.settings import (
     Pads,
     PhysicsSettings,
     force_problem,
-)
-from tacgen.sensor.description import (
-    SensorByName,
-    SensorChoice,
-    load_sensor,
-    sensor_problems,
 )
 
 

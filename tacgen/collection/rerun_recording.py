@@ -16,11 +16,11 @@ from tacgen.contact.gel import gel_map_mm, pixel_centers_mm
 from tacgen.core.errors import DatasetError, require_extra
 from tacgen.core.files import atomic_path
 from tacgen.core.records import PADS, GraspConfig, GraspTrace
+from tacgen.core.sensors import load_sensor
 from tacgen.core.types import pose
 from tacgen.dataset import DatasetFolder, GraspSample
 from tacgen.dataset.reader import Dataset
 from tacgen.physics.gripper import GripperSpec
-from tacgen.sensor.description import load_sensor
 
 EYE_MM = (120.0, -180.0, 90.0)  # from the pads' centre: object and fingers fill the view
 FORCES = ("normal_n", "shear_x_n", "shear_y_n")
@@ -47,9 +47,7 @@ def write_recording(root: Path, index: int, path: Path) -> None:
     recipe = load_recipe(folder.recipe_path)
     with GraspPipeline(recipe) as pipeline:
         grasp = pipeline.simulate(grown_plan(recipe, folder.grids()).grasps[index])
-        imprints = {
-            pad: [one.imprint for one in pipeline.render(grasp, pad)[1]] for pad in sample.pads
-        }
+        imprints = {pad: pipeline.render(grasp, pad)[1] for pad in sample.pads}
     if grasp.trace.status != "executed":
         msg = f"{root}: grasp {index} cannot be simulated again ({grasp.trace.reason})"
         raise DatasetError(msg)

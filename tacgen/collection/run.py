@@ -204,9 +204,14 @@ def _shard_job(
             def samples() -> Iterator[GraspSample]:
                 for index in spec.shard_range(shard):
                     if index in crashed:
-                        one, label = planned[index], LABEL_NOT_EXECUTED
+                        one = planned[index]
                         yield GraspSample(
-                            one.config, one.seed, one.split, "crashed", label, reason=crashed[index]
+                            config=one.config,
+                            seed=one.seed,
+                            split=one.split,
+                            status="crashed",
+                            label=LABEL_NOT_EXECUTED,
+                            reason=crashed[index],
                         )
                         continue
                     report("start", index, None)

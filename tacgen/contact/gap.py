@@ -4,6 +4,7 @@ import math
 import operator
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -225,7 +226,6 @@ class GapMapper:
             raise ContactError(msg)
         self.sensor = sensor
         self._gel_mm = gel_map_mm(sensor)
-        self._surround = Surround(sensor)
         self._depth_mm = np.full(sensor.shape_px, np.inf)
         self._drawn = (0, 0, 0, 0)  # the window of the depth map that is not +inf
         self._grains = np.empty(sensor.height_px * sensor.width_px, dtype=np.int32)
@@ -241,6 +241,11 @@ class GapMapper:
             from tacgen.contact.pyrender_camera import depth_map_mm
 
             self._camera = depth_map_mm
+
+    @cached_property
+    def _surround(self) -> Surround:
+        """The gel around the window, made where it is first asked for."""
+        return Surround(self.sensor)
 
     @property
     def beside_mm(self) -> Float64:

@@ -106,7 +106,7 @@ class ContactLaw:
 
     ``volume_linear`` is V = k_n F_n, ``linear_depth`` (TACTO's) indentation = k_depth F_n, which
     needs ``k_depth_mm_per_n``; of it the object has to cover ``collision_margin_mm`` before it
-    touches, see :meth:`predict_depth`. k_s is NaN where shear was never measured. D is a sum over
+    touches, see :meth:`simulated`. k_s is NaN where shear was never measured. D is a sum over
     a grid of markers, of pitch ``marker_pitch_mm``: each stands for its square, and ∫ u dA is D
     times that.
     NaN where the pitch is not known: then D is the sum over whatever markers a sensor has.
@@ -184,33 +184,30 @@ class ContactLaw:
         a ``linear_depth`` law and else the volume, mm³.
         """
         reading = Reading(row, before)
-        depth = self.k_depth_mm_per_n if self.law == "linear_depth" else None
-        k_n = self.k_n_mm3_per_n.value if depth is None else 1.0
-        normal = self._respond(reading, "normal", k_n, simulate=True)
-        if depth is not None:
-            normal = normal * depth.value - self.collision_margin_mm
-        shear = self._respond(reading, "shear", self.k_s_mm_per_n.value, simulate=True)
-        return max(float(normal[0, 0]), 0.0), shear[0], reading.memory
+        normal, shear = self.simulated(reading)
+        return float(normal[0]), shear[0], reading.memory
 
-    def predict_depth(self, columns: Mapping[str, ArrayLike], k_factor: float = 1.0) -> FloatArray:
-        """Indentation (N,) in mm of a ``linear_depth`` law, for a simulated grasp.
+    def simulated(
+        self, history: LoadHistory, k_factor: float = 1.0
+    ) -> tuple[FloatArray, FloatArray]:
+        """The response of a simulated gel: normal (N,), and motion (N, 2) as of ``predict``.
 
-        max(0, c F − g), c being k_depth times ``k_factor``. TACTO moves the object by c F towards
-        the gel from where the physics has it, and there Bullet keeps the collision margin g
-        between them: 1 mm around each convex hull. Below g / c newtons the contact is lost.
-
-        Raises ``ContactError`` if the law is not ``linear_depth``.
+        Normal is the volume in mm³, of a ``linear_depth`` law the indentation in mm: max(0, c F −
+        g), c being k_depth. TACTO moves the object by c F towards the gel from where the physics
+        has it, and there Bullet keeps the collision margin g between them: 1 mm around each convex
+        hull. Below g / c newtons the contact is lost. ``k_factor`` multiplies k_n or k_depth.
 
         Source: ``adjust_with_force`` of TACTO; that of Si et al. 2022 adds the gap that it finds
         (``get_bias``). Bullet's ``gUrdfDefaultCollisionMargin``.
         """
-        if self.law != "linear_depth" or self.k_depth_mm_per_n is None:
-            msg = f"law {self.law!r} gives a volume; only linear_depth gives a depth by itself"
-            raise ContactError(msg)
-        history = LoadHistory(columns, measured=False)
-        load = history.unsorted(self._respond(history, "normal", 1.0, simulate=True))[:, 0]
-        depth_mm = load * self.k_depth_mm_per_n.value * k_factor
-        return np.asarray(np.maximum(depth_mm - self.collision_margin_mm, 0.0), np.float64)
+        depth = self.k_depth_mm_per_n if self.law == "linear_depth" else None
+        k_n = self.k_n_mm3_per_n.value if depth is None else 1.0
+        normal = self._respond(history, "normal", k_n, simulate=True)[:, 0]
+        if depth is not None:
+            normal = normal * depth.value
+        normal = np.maximum(normal * k_factor - self.collision_margin_mm, 0.0)
+        shear = self._respond(history, "shear", self.k_s_mm_per_n.value, simulate=True)
+        return history.unsorted(normal), history.unsorted(shear)
 
     def _respond(
         self, history: LoadHistory, channel: Channel, compliance: float, *, simulate: bool

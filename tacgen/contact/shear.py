@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from tacgen.contact.raster import Float64
 from tacgen.core.compiled import njit
 from tacgen.core.records import Markers, Sensor
+from tacgen.core.types import FloatArray
 
 DILATION_DECAY_PER_MM2 = 0.479
 """How fast dilation falls off with the square of the distance.
@@ -90,3 +91,9 @@ def dilation_mm(
     out = np.empty(points_mm.shape)
     _dilation(np.ascontiguousarray(points_mm), np.ascontiguousarray(patch_mm), weights_mm3, out)
     return DILATION_GAIN * out
+
+
+def turned(grid_mm: FloatArray, turn_rad: float) -> FloatArray:
+    """Places (n, 2) turned about the gel's origin, which is the grid's middle."""
+    cos, sin = np.cos(turn_rad), np.sin(turn_rad)
+    return np.asarray(grid_mm @ np.array([[cos, sin], [-sin, cos]]))

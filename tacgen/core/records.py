@@ -7,13 +7,14 @@ the gel towards the object. Poses are 4×4 homogeneous matrices with translation
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
+from pydantic import ConfigDict, PositiveFloat, PositiveInt
 
 from tacgen.core.types import FloatArray
 
@@ -45,6 +46,12 @@ def rng_of(seed: int, *key: int) -> np.random.Generator:
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
+AXES = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
+"""What a gripper is asked to do with an object."""
+GraspPoint = tuple[str, float, float, float, float, float]
+"""What identifies a grasp: its object and the values of ``AXES``."""
+
+
 @dataclass(frozen=True, slots=True)
 class GraspConfig:
     """One point of the grid: what the gripper is asked to do.
@@ -62,6 +69,11 @@ class GraspConfig:
     y_mm: float
     z_mm: float
     yaw_rad: float = 0.0
+
+    @property
+    def point(self) -> GraspPoint:
+        """The configuration without its number."""
+        return self.object, self.force_n, self.x_mm, self.y_mm, self.z_mm, self.yaw_rad
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,12 +118,18 @@ class GraspObject:
 
 @dataclass(frozen=True, slots=True)
 class Markers:
-    """The printed dots of a gel: a grid of ``rows`` × ``columns`` at ``pitch_mm``."""
+    """The grid of dots printed on the gel."""
 
-    rows: int
-    columns: int
-    pitch_mm: float
-    radius_mm: float
+    __pydantic_config__ = ConfigDict(extra="forbid", use_attribute_docstrings=True)
+
+    rows: PositiveInt
+    """Rows of dots."""
+    columns: PositiveInt
+    """Columns of dots."""
+    pitch_mm: PositiveFloat
+    """Distance between neighbouring dots."""
+    radius_mm: PositiveFloat
+    """Radius of a dot."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,8 +247,37 @@ class SlipMargin:
     swing_moment_share: float = float("nan")
 
 
-@dataclass(frozen=True, slots=True)
-class GraspTrace:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GraspOutcome:
+    """How a grasp ended.
+
+    ``grasp_time_s`` is the moment of grasp, when the force was found steady, from closing on (NaN
+    where the grasp was not executed), ``grasp_frame`` the frame that was taken at that moment.
+    ``lift_start_time_s`` and ``lift_end_time_s`` are on the same clock, as is ``outcome_time_s``:
+    when the object passed the limit that made the grasp fail, else the end of the lift. ``reason``
+    says why it was not executed, or what was not as it should be.
+    """
+
+    status: Status
+    label: int
+    failure_mode: FailureMode = ""
+    rise_mm: float = 0.0
+    turn_rad: float = 0.0
+    margin: SlipMargin | None = None
+    reason: str = ""
+    grasp_frame: int = 0
+    grasp_time_s: float = float("nan")
+    lift_start_time_s: float = float("nan")
+    lift_end_time_s: float = float("nan")
+    outcome_time_s: float = float("nan")
+
+    def outcome(self) -> dict[str, Any]:
+        """The above by name."""
+        return {one.name: getattr(self, one.name) for one in fields(GraspOutcome)}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GraspTrace(GraspOutcome):
     """Everything the physics says about one grasp.
 
     ``frames`` maps each tactile pad (``left``, ``right``) to its T frames, ``gel_steps`` to the
@@ -239,27 +286,11 @@ class GraspTrace:
     is x, y, z (mm) and the quaternion x, y, z, w of the object in the world at the frames' times,
     ``gripper_pose`` (T, 7) the same of the gripper, whose left and right gel are then
     ``pad_distance_mm`` (T, 2) from its middle; None where the grasp was not executed.
-    ``grasp_time_s`` is the moment of grasp, when the force was found steady, from closing on (NaN
-    where the grasp was not executed), ``grasp_frame`` the frame that was taken at that moment.
-    ``lift_start_time_s`` and ``lift_end_time_s`` are on the same clock, as is ``outcome_time_s``:
-    when the object passed the limit that made the grasp fail, else the end of the lift.
     """
 
     config: GraspConfig
-    status: Status
-    label: int
-    failure_mode: FailureMode
     frames: Mapping[str, tuple[ContactFrame, ...]]
     object_pose: NDArray[np.float64]
-    rise_mm: float
-    turn_rad: float
-    margin: SlipMargin | None = None
-    reason: str = ""
-    grasp_time_s: float = float("nan")
-    grasp_frame: int = 0
-    lift_start_time_s: float = float("nan")
-    lift_end_time_s: float = float("nan")
-    outcome_time_s: float = float("nan")
     gripper_pose: NDArray[np.float64] | None = None
     pad_distance_mm: NDArray[np.float64] | None = None
     gel_steps: Mapping[str, tuple[ContactFrame, ...]] = field(default_factory=dict)

@@ -269,9 +269,7 @@ def _images(folder: Path, grasp_id: str, unused: list[str]) -> tuple[Path, ...]:
 def _warnings(grasps: Sequence[RealGrasp], path: Path) -> list[str]:
     labels_at: dict[tuple[object, ...], dict[int, str]] = {}
     for grasp in grasps:
-        c = grasp.config
-        key = (c.object, c.force_n, c.x_mm, c.y_mm, c.z_mm, c.yaw_rad)
-        labels_at.setdefault(key, {}).setdefault(grasp.label, grasp.grasp_id)
+        labels_at.setdefault(grasp.config.point, {}).setdefault(grasp.label, grasp.grasp_id)
     contradictions = [ids for ids in labels_at.values() if len(ids) > 1]
     warnings = [
         f"{path}: grasps {ids[0]!r} and {ids[1]!r} have the same configuration and opposite "

@@ -9,16 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.records import (
-    PADS,
-    Camera,
-    FailureMode,
-    GraspConfig,
-    Sensor,
-    SlipMargin,
-    Status,
-    Until,
-)
+from tacgen.core.records import PADS, Camera, GraspConfig, GraspOutcome, Sensor, Until
 from tacgen.dataset.inputs import Inputs
 from tacgen.dataset.schema import FIELDS, FLAG_FIELDS, FLAG_WORDS, STATE_FIELDS, Layout
 
@@ -72,38 +63,24 @@ class CameraSample:
     segmentation: NDArray[np.uint8]
 
 
-@dataclass(frozen=True, slots=True)
-class GraspSample:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GraspSample(GraspOutcome):
     """One grasp of a dataset.
 
     ``pads`` maps ``left`` and/or ``right`` to that pad's images and forces; it is empty where the
     grasp was not executed (its arrays are then written as zeros). ``object_pose`` (T, 7) is x, y, z
-    (mm) and the quaternion x, y, z, w in the world. ``grasp_time_s`` is the moment of grasp, from
-    closing on (NaN where unknown), ``grasp_frame`` the frame that was taken then.
-    ``lift_start_time_s``, ``lift_end_time_s`` and ``outcome_time_s`` are as in ``GraspTrace``.
-    ``label_confidence`` is the label's probability, NaN where unknown. ``picture`` (h, w, 3) uint8
-    shows the scene from outside, ``cameras`` maps each camera's name to what it sees.
+    (mm) and the quaternion x, y, z, w in the world. ``label_confidence`` is the label's
+    probability, NaN where unknown. ``picture`` (h, w, 3) uint8 shows the scene from outside,
+    ``cameras`` maps each camera's name to what it sees.
     """
 
     config: GraspConfig
     seed: int
     split: str
-    status: Status
-    label: int
-    failure_mode: FailureMode = ""
     pads: Mapping[str, PadSample] = field(default_factory=dict)
     object_pose: NDArray[np.floating] | None = None
-    rise_mm: float = 0.0
-    turn_rad: float = 0.0
-    margin: SlipMargin | None = None
     label_confidence: float = math.nan
-    grasp_frame: int = 0
     picture: NDArray[np.uint8] | None = None
-    reason: str = ""
-    grasp_time_s: float = math.nan
-    lift_start_time_s: float = math.nan
-    lift_end_time_s: float = math.nan
-    outcome_time_s: float = math.nan
     cameras: Mapping[str, CameraSample] = field(default_factory=dict)
 
 

@@ -28,7 +28,6 @@ import numpy as np
 from tacgen.core.records import Status
 
 FORMAT_VERSION = 1
-ACTION = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")  # of a grasp, in exports for policies
 SPLITS = ("train", "test")
 STATUSES = get_args(Status)
 FAILURE_MODES = ("", "translational_slip", "rotational_slip")

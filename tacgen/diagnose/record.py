@@ -114,24 +114,24 @@ def channel_record(
     *,
     effects: Sequence[Mapping[str, Any]],
     unexplained: Sequence[Mapping[str, Any]],
-    error_before: Mapping[str, Any],
-    error_after: Mapping[str, Any],
+    errors: tuple[Mapping[str, Any], Mapping[str, Any]],
     noise_floor: tuple[float, str],
     trials: tuple[int, int],
     **more: Any,
 ) -> dict[str, Any]:
     """A channel of ``diagnosis.json``: the contract's keys and further ones.
 
-    ``noise_floor`` is its RMSE and how it was measured, ``trials`` how many were fitted and tested.
+    ``errors`` are those before and after, ``noise_floor`` is its RMSE and how it was measured,
+    ``trials`` how many were fitted and tested.
     """
-    floor, how = noise_floor
+    (before, after), (floor, how) = errors, noise_floor
     return {
         "verdict": found.verdict,
         "sentence": found.sentence,
         "effects": list(effects),
         "unexplained": list(unexplained),
-        "error_before": error_before,
-        "error_after": error_after,
+        "error_before": before,
+        "error_after": after,
         "noise_floor": {"rmse": finite(floor), "how": how},
         "trials": dict(zip(("fit", "test"), trials, strict=True)),
         **more,

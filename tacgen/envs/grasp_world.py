@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.collection.grid import AXES, PlannedGrasp, plan_recipe
+from tacgen.collection.grid import PlannedGrasp, plan_recipe
 from tacgen.collection.pipeline import GraspPipeline, HeldGrasp, SimulatedGrasp
 from tacgen.collection.recipe import Recipe, load_recipe
 from tacgen.core.errors import RecipeError, require_known
@@ -152,4 +152,4 @@ class GraspWorld:
 
 def grasp_values(planned: PlannedGrasp) -> NDArray[np.float64]:
     """The values (5,) of ``AXES`` of a grasp of the plan: N, mm, mm, mm, rad."""
-    return np.array([getattr(planned.config, axis) for axis in AXES])
+    return np.array(planned.config.point[1:])

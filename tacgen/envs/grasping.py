@@ -13,10 +13,10 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle, RecordConstructorArgs
 from numpy.typing import NDArray
 
-from tacgen.collection.grid import AXES, PlannedGrasp
+from tacgen.collection.grid import PlannedGrasp
 from tacgen.collection.recipe import Recipe
 from tacgen.core.errors import LearningError
-from tacgen.core.records import LABEL_SUCCESS
+from tacgen.core.records import AXES, LABEL_SUCCESS
 from tacgen.core.types import FloatArray
 from tacgen.envs.grasp_world import GraspWorld, Touch, grasp_values
 

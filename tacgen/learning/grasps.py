@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.errors import LearningError, require_known
-from tacgen.core.records import LABEL_NOT_EXECUTED, Camera, Until
+from tacgen.core.records import AXES, LABEL_NOT_EXECUTED, Camera, Until
 from tacgen.core.safe_io import read_rgb
 from tacgen.dataset import Dataset
 from tacgen.dataset.real_grasps import BACKGROUND, FRAME_UNKNOWN, read_real_grasps
@@ -18,7 +18,6 @@ CONFIGURATION_DIGITS = 6
 """Decimals of N, mm and rad that count; further ones are rounding errors of the grid."""
 YAW_DIGITS = 4
 """Decimals of a yaw in rad, 0.006°: π and −π, written with six digits, are one."""
-AXES = ("force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
 _DTYPES: dict[str, type] = dict.fromkeys(("ids", "objects", "split"), np.str_)
 _DTYPES |= dict.fromkeys(("label", "grasp_frame"), np.int64) | dict.fromkeys(AXES, np.float64)
 EqualRanges = Mapping[str, Mapping[str, Sequence[tuple[float, float]]]]

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.learning.grasps import AXES, EqualRanges, GraspTable
+from tacgen.core.records import AXES
+from tacgen.learning.grasps import EqualRanges, GraspTable
 
 if TYPE_CHECKING:
     from sklearn.ensemble import ExtraTreesClassifier

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.images import evenly
-from tacgen.core.records import LABEL_NOT_EXECUTED
-from tacgen.learning.grasps import AXES, EqualRanges, GraspTable, SimulatedGrasps
+from tacgen.core.records import AXES, LABEL_NOT_EXECUTED
+from tacgen.learning.grasps import EqualRanges, GraspTable, SimulatedGrasps
 
 MIN_PAIRS, MAX_PAIRS = 3, 10  # of grasps at two values of an axis; fewer tell nothing
 EQUAL_SHARE = 0.9  # of the pairs: simulated contact is chaotic, and a few end otherwise

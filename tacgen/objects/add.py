@@ -63,47 +63,59 @@ class AddedObject:
     toppled_from: Mesh | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class MeshFacts:
+    """What a mesh does not say of an object.
+
+    ``scale`` is mm per unit of the mesh, ``up`` the axis that points up; both are guessed where
+    they are None. ``yaw_rad`` is the angle about z, in the mesh's own axes, along which the fingers
+    shall close: the mesh is turned by its negative; by default that at which both pads meet it, if
+    they do not along x. An object that would topple is rested as it comes to lie, unless
+    ``keep_pose``.
+    """
+
+    mass_kg: float
+    scale: float | None = None
+    name: str | None = None
+    friction: float = DEFAULT_FRICTION
+    up: str | None = None
+    yaw_rad: float | None = None
+    keep_pose: bool = False
+
+
 def add_object(
     mesh_path: Path,
+    facts: MeshFacts,
     *,
-    mass_kg: float,
-    scale: float | None = None,
-    name: str | None = None,
-    friction: float = DEFAULT_FRICTION,
-    up: str | None = None,
-    yaw_rad: float | None = None,
-    keep_pose: bool = False,
     into: Path = Path("objects"),
     force: bool = False,
     on_step: Callable[[str], None] = lambda step: None,
 ) -> AddedObject:
     """Import a mesh into ``into/<name>``; the folder appears whole or not at all.
 
-    ``yaw_rad`` is the angle about z, in the mesh's own axes, along which the fingers shall close:
-    the mesh is turned by its negative; by default that at which both pads meet it, if they do not
-    along x. An object that would topple is rested as it comes to lie, unless ``keep_pose``. The
-    suggested places of grasps are those that the simulation could execute. ``on_step`` is called
-    with each of the ``STEPS`` as it begins.
+    The suggested places of grasps are those that the simulation could execute. ``on_step`` is
+    called with each of the ``STEPS`` as it begins.
 
     Raises ``ObjectError`` if the arguments or the mesh cannot be used, or the object exists and not
     ``force``.
     """
     mesh_path, into = Path(mesh_path), Path(into)
-    name = object_name(mesh_path) if name is None else name
-    _check_arguments(name, mass_kg, scale, friction, up, yaw_rad)
+    mass_kg, friction = facts.mass_kg, facts.friction
+    name = object_name(mesh_path) if facts.name is None else facts.name
+    _check_facts(name, facts)
     folder = into / name
     _check_target(folder, force)
 
     on_step(STEPS[0])
-    surface, notes = import_surface(mesh_path, scale=scale, up=up)
+    surface, notes = import_surface(mesh_path, scale=facts.scale, up=facts.up)
     notes += _check_density(mesh_path, surface, mass_kg)
     center_mm, _ = mass_properties([(surface, 1.0)], mass_kg)
-    turn = None if keep_pose else toppled(surface.vertices_mm, center_mm)
+    turn = None if facts.keep_pose else toppled(surface.vertices_mm, center_mm)
     given = None if turn is None else surface
     if turn is not None:
         surface = placed(surface, turn)
         notes.insert(0, _rest_note(turn))
-    yaw_rad, surface, yaw_notes = _turned(surface, yaw_rad)
+    _, surface, yaw_notes = _turned(surface, facts.yaw_rad)
     properties = mass_properties([(surface, 1.0)], mass_kg)
     ranges, range_notes = suggest_places(
         surface, mass_kg=mass_kg, center_y_mm=float(properties[0][1]), friction=friction
@@ -320,14 +332,8 @@ def describe(
     }
 
 
-def _check_arguments(
-    name: str,
-    mass_kg: float,
-    scale: float | None,
-    friction: float,
-    up: str | None,
-    yaw_rad: float | None,
-) -> None:
+def _check_facts(name: str, facts: MeshFacts) -> None:
+    mass_kg, scale, friction = facts.mass_kg, facts.scale, facts.friction
     problems = []
     if not re.fullmatch(NAME_PATTERN, name):
         problems.append(
@@ -339,10 +345,10 @@ def _check_arguments(
         problems.append(f"--scale {scale:g} is not above 0; give mm per unit of the mesh")
     if not (np.isfinite(friction) and 0 <= friction <= 2):
         problems.append(f"--friction {friction:g} is not in 0 to 2; give a Coulomb coefficient")
-    if not abs(yaw_rad or 0.0) <= 2 * np.pi:
-        problems.append(f"--yaw {yaw_rad:g} is more than a turn; give radians: 90° is 1.571")
-    if up is not None and up not in UP_AXES:
-        problems.append(f"--up {up!r} is no axis; give one of {', '.join(UP_AXES)}")
+    if not abs(facts.yaw_rad or 0.0) <= 2 * np.pi:
+        problems.append(f"--yaw {facts.yaw_rad:g} is more than a turn; give radians: 90° is 1.571")
+    if facts.up is not None and facts.up not in UP_AXES:
+        problems.append(f"--up {facts.up!r} is no axis; give one of {', '.join(UP_AXES)}")
     ObjectError.raise_if(problems)
 
 

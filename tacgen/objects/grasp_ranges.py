@@ -13,7 +13,7 @@ from tacgen.core.types import PUBLISHED_K_N_MM3_PER_N, STANDARD_GRAVITY_M_S2, Fl
 from tacgen.objects.shading import depth_view, view_axes
 from tacgen.objects.showing import common_window_mm, is_shown
 from tacgen.physics.gripper import default_gripper
-from tacgen.physics.margins import dome_patch, torsion_arm_mm
+from tacgen.physics.margins import dome_patch, torsion_limit
 from tacgen.physics.settings import PhysicsSettings
 from tacgen.physics.world import ball_of
 
@@ -50,9 +50,9 @@ FORCES_N = (
 """Preferred numbers (ISO 3, R10), from below what a picture shows to the most of the gripper."""
 SHARES = tuple(0.7 * 1.4**k for k in range(12))
 """Of the least force that holds, by which places are judged: from just failing to very firm."""
-_ARM_MM = torsion_arm_mm(
+_ARM_MM = torsion_limit(
     dome_patch(10.0, dome_radius_mm=DOME_RADIUS_MM, k_n_mm3_per_n=PUBLISHED_K_N_MM3_PER_N)
-)
+)(0.0)
 """By which pads hold a moment: mg/(2μ) √(1 + (y/arm)²) holds y beside the centre of mass, by the
 ellipsoid of ``torsion_factor``. It grows slowly with the force, by its fourth root."""
 RIM_MM = 3.0  # from a pad's middle to an edge: inside the window, and the face under the middle

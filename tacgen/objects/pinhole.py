@@ -149,14 +149,12 @@ def _resolved(
     color: np.ndarray,
     segment: np.ndarray,
     background: np.ndarray,
-    rgb: np.ndarray,
-    depth_mm: np.ndarray,
-    ids: np.ndarray,
-) -> None:
-    """Fill the pictures from samples: the mean of the colours, and what the middle one sees."""
-    height, width = ids.shape
-    samples = face.shape[0] // height
-    total = np.empty(3)
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The pictures from samples: the mean of the colours, and what the middle one sees."""
+    samples = SAMPLES  # along a pixel
+    height, width = face.shape[0] // samples, face.shape[1] // samples
+    rgb, total = np.empty((height, width, 3), np.uint8), np.empty(3)
+    depth_mm, ids = np.zeros((height, width), np.float32), np.zeros((height, width), np.uint8)
     for row in range(height):
         for column in range(width):
             total[:] = 0.0
@@ -173,6 +171,7 @@ def _resolved(
                 ids[row, column] = segment[f]
                 steps = math.floor(1.0 / nearness[i, j] / DEPTH_STEP_MM + 0.5)
                 depth_mm[row, column] = np.float32(steps * DEPTH_STEP_MM)
+    return rgb, depth_mm, ids
 
 
 def pinhole_view(
@@ -194,11 +193,8 @@ def pinhole_view(
     _onto_picture(points, camera.k_px, SAMPLES)
     height, width = camera.shape_px
     nearness, seen = nearest_face(points, kept, SAMPLES * height, SAMPLES * width)
-    rgb = np.empty((height, width, 3), np.uint8)
-    depth_mm, ids = np.zeros((height, width), np.float32), np.zeros((height, width), np.uint8)
     background = np.array(BACKGROUND_RGB, np.float64)
-    _resolved(nearness, seen, color[source], segment[source], background, rgb, depth_mm, ids)
-    return rgb, depth_mm, ids
+    return _resolved(nearness, seen, color[source], segment[source], background)
 
 
 def camera_around(

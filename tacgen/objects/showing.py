@@ -4,15 +4,13 @@ from functools import lru_cache
 
 import numpy as np
 
+from tacgen.contact.gel_response import GelLoad
 from tacgen.core.records import ContactFrame, ContactPatch, Mesh
+from tacgen.core.sensors import load_sensor
 from tacgen.core.types import PUBLISHED_K_N_MM3_PER_N, FloatArray
-from tacgen.optics import load_table
-from tacgen.optics.visible import VISIBLE, visible_share
 from tacgen.physics.gripper import default_gripper
 from tacgen.physics.settings import PhysicsSettings
-from tacgen.sensor.description import load_sensor
-from tacgen.sensor.gel_response import GelLoad
-from tacgen.sensor.tactile_pad import Imprint, TactilePad
+from tacgen.sensor.tactile_pad import TactilePad
 
 SENSORS = ("gelsight_mini", "digit", "gelsight")
 """By which suggested grasps are judged; a flat gel first, which shows least."""
@@ -35,23 +33,21 @@ def is_shown_in(surface: Mesh, pose_gel_object: FloatArray, force_n: float) -> b
     """Whether the pictures of all ``SENSORS`` show the contact, by the published k_n."""
     load = GelLoad(volume_mm3=PUBLISHED_K_N_MM3_PER_N * force_n)
     for name in SENSORS:
-        pad, rest_rgb = _pad_and_rest(name)
-        rgb = pad.image(pad.press(surface, pose_gel_object, load))
-        if visible_share(rgb, rest_rgb) < VISIBLE.contact_share:
+        pad = _pad_of(name)
+        if not pad.shows_contact(pad.render(surface, pose_gel_object, load)):
             return False
     return True
 
 
 def usual_patch(surface: Mesh, frame: ContactFrame) -> ContactPatch:
     """Where the gel of ``USUAL_SENSOR`` presses on the surface, by the published k_n."""
-    pad, _ = _pad_and_rest(USUAL_SENSOR)
     load = GelLoad(volume_mm3=PUBLISHED_K_N_MM3_PER_N * frame.force_normal_n)
-    return pad.indenter.patch(surface, frame.pose_gel_object, load)
+    return _pad_of(USUAL_SENSOR).indenter.patch(surface, frame.pose_gel_object, load)
 
 
 def common_window_mm() -> FloatArray:
     """Width and height (2,) of the gel that all ``SENSORS`` see, about the pad's middle."""
-    seen = [pad.sensor for pad, _ in map(_pad_and_rest, SENSORS)]
+    seen = [_pad_of(name).sensor for name in SENSORS]
     sizes_mm: FloatArray = np.array(
         [(s.width_px * s.mm_per_px, s.height_px * s.mm_per_px) for s in seen]
     )
@@ -60,10 +56,8 @@ def common_window_mm() -> FloatArray:
 
 
 @lru_cache(maxsize=len(SENSORS))
-def _pad_and_rest(sensor: str) -> tuple[TactilePad, np.ndarray]:
-    """A sensor on the default gripper, and its picture at rest."""
+def _pad_of(sensor: str) -> TactilePad:
+    """A sensor on the default gripper."""
     gripper = default_gripper()
     side = PhysicsSettings().sensing_pads[0]
-    found = gripper.carrying(load_sensor(sensor), side)
-    pad = TactilePad(found, load_table(found.table))
-    return pad, pad.image(Imprint()).copy()
+    return TactilePad(gripper.carrying(load_sensor(sensor), side))

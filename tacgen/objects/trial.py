@@ -12,7 +12,7 @@ from tacgen.core.records import GraspConfig, GraspObject
 from tacgen.core.types import FloatArray
 from tacgen.objects.grasp_ranges import FORCES_N, largest_grid
 from tacgen.objects.showing import is_shown_in, usual_patch
-from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
+from tacgen.physics import FrameRequest, GelModel, GraspSimulator, PhysicsSettings, run_grasp
 
 SUCCESSES = (0.4, 0.6)  # of the suggested grasps: a sensor of another gel moves some thresholds
 VISIBLE_SHARE = 0.92  # of the suggested grasps; with this many, more places count
@@ -38,13 +38,11 @@ def tried_ranges(obj: GraspObject) -> tuple[Ranges, list[str]]:
         with GraspSimulator() as simulator:
             # Decides as the whole lift does, in half the time.
             settings = PhysicsSettings(engine=simulator.engine, lift_mm=40.0, success_rise_mm=30.0)
-            patch_of = partial(usual_patch, surface)
+            gel = GelModel(partial(usual_patch, surface))
 
             def held(force_n: float, y_mm: float, z_mm: float) -> bool:
                 config = GraspConfig(0, obj.name, force_n, 0.0, y_mm, z_mm)
-                trace = run_grasp(
-                    simulator, obj, config, settings, frames=FrameRequest(), patch_of=patch_of
-                )
+                trace = run_grasp(simulator, obj, config, settings, frames=FrameRequest(), gel=gel)
                 if trace.label < 0:
                     raise _NotExecuted(trace.reason)
                 frames = trace.frames[settings.sensing_pads[0]]

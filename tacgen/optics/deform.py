@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.compiled import njit
-from tacgen.optics.smooth import COARSEST, Gaussian, Window, aligned, grown
+from tacgen.core.types import Window
+from tacgen.optics.smooth import COARSEST, Gaussian, aligned, grown
 
 PYRAMID_SIGMA_MM = (0.236, 0.1033, 0.059, 0.0325)
 """Widths of the Gaussians, coarse to fine.

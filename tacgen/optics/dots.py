@@ -1,5 +1,6 @@
 """Printed dots in pictures of the gel: found, masked, filled in from around, and followed."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -112,9 +113,9 @@ def nearest_px(places_px: FloatArray) -> FloatArray:
     return np.asarray(distance[:, 1])
 
 
-def dots_in(image: Image, at_rest: BoolArray) -> BoolArray:
+def dots_in(image: Image | Spots, at_rest: BoolArray) -> BoolArray:
     """Pixels (H, W) that dots cover in a press: where they are now, and where they were."""
-    spots = find_spots(image)
+    spots = image if isinstance(image, Spots) else find_spots(image)
     count = max(cv2.connectedComponents(at_rest.astype(np.uint8))[0] - 1, 1)
     largest = MERGED_AREA * at_rest.sum() / count
     return spots.mask((spots.areas >= 2) & (spots.areas <= largest)) | at_rest
@@ -177,8 +178,8 @@ def dots_at_rest(background: Image, path: str = "background.png") -> Dots:
     return Dots(places, float(np.median(nearest_px(places))))
 
 
-def follow(dots: Dots, pictures: list[Image]) -> tuple[FloatArray, IntArray]:
-    """Motion of every dot from rest, through pictures in time order.
+def follow(dots: Dots, pictures: Sequence[Image | Spots]) -> tuple[FloatArray, IntArray]:
+    """Motion of every dot from rest, through pictures in time order, or their spots.
 
     A dot is looked for where it would be if it had gone on with its neighbours, within half of
     the dots' spacing. One that is not seen moves as its four nearest neighbours that are. Returns
@@ -188,7 +189,7 @@ def follow(dots: Dots, pictures: list[Image]) -> tuple[FloatArray, IntArray]:
     seen = np.zeros(len(pictures), dtype=np.int64)
     expected: FloatArray = np.array(dots.places_px)
     for index, picture in enumerate(pictures):
-        spots = find_spots(picture)
+        spots = picture if isinstance(picture, Spots) else find_spots(picture)
         matched = _match(expected, spots.places_px[spots.usable], 0.5 * dots.spacing_px)
         known: BoolArray = np.asarray(np.isfinite(matched).all(axis=1))
         seen[index] = int(known.sum())

@@ -1,15 +1,21 @@
 """How the light differs between a picture and the gel at rest, seen where nothing touches."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
-from scipy.ndimage import binary_dilation, gaussian_filter, label
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, label
 
+from tacgen.core.compiled import njit
 from tacgen.core.types import BoolArray, FloatArray
 
 ROBUST_PASSES = 8  # of reweighted least squares; later ones move the fit by < 0.05 grey levels
+SETTLED_GREY = 0.01  # a pass that moves it by less is the last
 COMPARED_PX = 80  # width of the pictures that the drift is fitted on: light changes slowly
+BARE_PASSES = 3  # of light and bare gel in turn
+FITTED_EVERY = 2  # row and column of these: a quarter of them is enough to find the bare gel
 TOUCHED_SIGMAS = 4.0  # of the bare gel's own scatter: a larger change is no drift
 LEAST_SCATTER_GREY = 0.3  # of a picture without noise
 BESIDE_SHARE = 0.04  # of the width: so far the gel beside a contact bends with it
@@ -26,17 +32,17 @@ sets reach 7, 8 and 0.97; two gels of one sensor 5, 6 and 0.9, two sensors 90, 7
 and 1."""
 
 
-def in_light_of(image: FloatArray, rest: FloatArray, *, is_tilted: bool = False) -> FloatArray:
-    """The gel at rest (h, w, 3) in the light of another picture (h, w, 3).
+def apart_grey(image: FloatArray, rest: FloatArray, *, is_tilted: bool = False) -> float:
+    """Median difference, grey levels, of two pictures (h, w, 3), both in the light of the first.
 
-    A gain, which may be larger at one side, and an offset of each channel, fitted to most of the
+    A gain, which may be larger at one side, and an offset of each channel are fitted to most of the
     picture: a contact is not.
     """
-    change, weight, fitted = image - rest, np.ones(rest.shape[:2]), np.empty(rest.shape)
-    for c in range(3):
-        columns = _columns(rest[..., c])[..., : 4 if is_tilted else 2]
-        fitted[..., c] = columns @ _robust_fit(columns, change[..., c], weight, USUAL_GAIN)[0]
-    return rest + fitted
+    image, rest = (np.asarray(part, np.float64) for part in (image, rest))
+    given, spread = np.ones(rest.shape, np.bool_), np.full(3, USUAL_GAIN)
+    fitted = _fits(rest, image - rest, given, spread, 4 if is_tilted else 2)[3]
+    apart = np.abs(image - rest - fitted).reshape(-1, 3)
+    return float(np.median(np.median(apart, axis=0)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,20 +112,22 @@ def drift_of(
         np.maximum(gel, picture) < 255.0 - CLIPPED_GREY
     )
     clear[..., clear.mean(axis=(0, 1)) < LEAST_BARE] = True
-    columns = [_columns(gel[..., channel]) for channel in range(3)]
     # So much of a change of brightness may be gain.
     brightness = np.median(picture / np.maximum(gel, 1.0), axis=(0, 1)) - 1.0
     spread = np.maximum(np.abs(brightness), USUAL_GAIN)
     bare, terms = is_seen, 2
-    for _ in range(3):
-        fits, fitted = [], np.empty(gel.shape)
-        for c, part in enumerate(columns):
-            weight = (bare & clear[..., c]).astype(np.float64)
-            fits.append(_robust_fit(part[..., :terms], small[..., c], weight, spread[c]))
-            fitted[..., c] = part[..., :terms] @ fits[-1][0]
+    fitted_at = np.zeros(is_seen.shape, np.bool_)
+    fitted_at[::FITTED_EVERY, ::FITTED_EVERY] = True
+    for step in range(BARE_PASSES):
+        if step == BARE_PASSES - 1:
+            fitted_at[:] = True
+        use = clear & (bare & fitted_at)[..., None]
+        fits, normals, patches, fitted = _fits(gel, small, use, spread, terms)
         # The camera clips what drift carries beyond its scale.
         expected = np.clip(gel + fitted, 0.0, 255.0)
-        left = np.abs(gaussian_filter(picture - expected, (1.0, 1.0, 0.0))).max(axis=2)
+        left = np.abs(
+            cv2.GaussianBlur(picture - expected, (9, 9), 1.0, borderType=cv2.BORDER_REFLECT)
+        ).max(axis=2)
         usual = max(float(np.median(left[bare])), LEAST_SCATTER_GREY)
         differs = is_seen & (left > TOUCHED_SIGMAS * usual)
         beside = max(1, round(BESIDE_SHARE * size[0]))
@@ -127,23 +135,24 @@ def drift_of(
         if untouched.mean() < LEAST_BARE:
             break
         bare, terms = untouched, 5 if falls_outwards else 4
-    coefficients = np.zeros((columns[0].shape[-1], 3))
-    coefficients[:terms] = np.stack([fit for fit, _ in fits], axis=1)
-    offset, gain, across, down, outwards = coefficients
-    u, v = np.linspace(-1, 1, width)[:, None], np.linspace(-1, 1, height)[:, None, None]
-    slow = (across * u + outwards * u**2) + (down * v + outwards * v**2)
-    offset = offset - gain * gel.mean(axis=(0, 1))
-    added = rest * (slow + gain) + offset
-    added = np.clip(rest + added, 0.0, 255.0) - rest
-    field = np.maximum(1.0 + gain + slow, LEAST_GAIN)
-    places = _columns(np.ones(size[::-1]))[..., 1:terms]
-    places[..., 0] = 1.0
-    variance = np.mean([((places @ cov[1:, 1:]) * places).sum(axis=-1) for _, cov in fits], axis=0)
-    stderr = cv2.resize(np.sqrt(variance), (width, height)) / field.mean(axis=2)
+    coefficients = np.zeros((5, 3))
+    coefficients[:terms] = fits.T
+    coefficients[0] -= coefficients[1] * gel.mean(axis=(0, 1))
+    added, field = _spread(np.asarray(rest, np.float32), coefficients.astype(np.float32))
+    u, v = np.linspace(-1, 1, size[0]), np.linspace(-1, 1, size[1])[:, None]
+    places = np.stack([u + v - u - v + 1.0, u + 0.0 * v, v + 0.0 * u, u**2 + v**2], axis=-1)
+    places = places[..., : terms - 1]
+    covariance = np.linalg.inv(normals) * (MEDIAN_TO_SIGMA**2 * patches[:, None, None])
+    within = covariance[:, 1:, 1:].mean(axis=0)
+    variance = ((places @ within) * places).sum(axis=-1)
+    gain = cv2.resize(field, size, interpolation=cv2.INTER_AREA).mean(axis=2)
+    stderr = cv2.resize(np.sqrt(variance) / gain, (width, height))
     bare = bare & (terms > 2)
     nearest = cv2.resize(bare.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST)
-    imprint = _imprint_in(np.where(differs, left, 0.0), usual, width / size[0])
-    return Drift(added, offset, field, stderr, np.asarray(nearest > 0), usual, imprint)
+    imprint = None
+    if falls_outwards:
+        imprint = _imprint_in(np.where(differs, left, 0.0), usual, width / size[0])
+    return Drift(added, coefficients[0], field, stderr, np.asarray(nearest > 0), usual, imprint)
 
 
 def _imprint_in(left: FloatArray, usual: float, px: float) -> OddPatch | None:
@@ -162,36 +171,93 @@ def _imprint_in(left: FloatArray, usual: float, px: float) -> OddPatch | None:
     return OddPatch((center + 0.5) * px - 0.5, float(np.sqrt(patch.sum() / np.pi)) * px, grey)
 
 
-def _columns(rest: FloatArray) -> FloatArray:
-    """What drift is made of (h, w, 5): offset, gain, and the gain's slopes and fall outwards."""
-    height, width = rest.shape
-    u, v = np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height))
-    centred = rest.astype(np.float64) - float(rest.mean())
-    return np.stack(
-        [np.ones_like(centred), centred, rest * u, rest * v, rest * (u**2 + v**2)], axis=-1
-    )
+@njit(cache=True, nogil=True)
+def _spread(rest: NDArray[Any], coefficients: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """What drift adds to the gel at rest (h, w, 3), within the camera's scale, and its gain."""
+    added, gain = np.empty_like(rest), np.empty_like(rest)
+    height, width = rest.shape[:2]
+    for r in range(height):
+        v = np.float32(2.0 * r / (height - 1) - 1.0)
+        for k in range(width):
+            u = np.float32(2.0 * k / (width - 1) - 1.0)
+            for c in range(3):
+                more = coefficients[1, c] + coefficients[2, c] * u + coefficients[3, c] * v
+                more += coefficients[4, c] * (u * u + v * v)
+                at_rest = rest[r, k, c]
+                lit = at_rest + at_rest * more + coefficients[0, c]
+                added[r, k, c] = min(max(lit, 0.0), 255.0) - at_rest
+                gain[r, k, c] = max(1.0 + more, LEAST_GAIN)
+    return added, gain
 
 
-def _robust_fit(
-    columns: FloatArray, values: FloatArray, weight: FloatArray, spread: float
-) -> tuple[FloatArray, FloatArray]:
-    """Coefficients (n,) of ``columns`` (h, w, n) that fit most of ``values`` (h, w), covariance.
+@njit(cache=True, nogil=True)
+def _fits(
+    rest: NDArray[Any], change: NDArray[Any], use: NDArray[Any], spread: NDArray[Any], terms: int
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """What light makes of the gel at ``rest`` (h, w, 3), fitted to most of a ``change`` (h, w, 3).
 
-    Least squares, reweighted after Cauchy by the median residual. All but the first coefficient are
-    gains, expected to be of this spread where a picture has too little contrast to show them.
+    So many ``terms`` of: an offset, a gain, the gain's slopes and its fall outwards. Returns for
+    each channel, fitted where it is of ``use`` (h, w, 3), the coefficients (3, n), what
+    :func:`_reweighted` says of their error, and the fit (h, w, 3).
     """
-    matrix, wanted = columns.reshape(-1, columns.shape[-1]), values.ravel().astype(np.float64)
-    given, soft = weight.ravel(), np.ones(len(wanted))
-    usual = LEAST_SCATTER_GREY
-    for _ in range(ROBUST_PASSES):
-        weighted = matrix * (given * soft)[:, None]
+    height, width = rest.shape[:2]
+    fits, normals = np.zeros((3, terms)), np.zeros((3, terms, terms))
+    patches, fitted = np.zeros(3), np.empty(rest.shape)
+    columns = np.ones((height * width, 5))
+    for c in range(3):
+        mean, n = rest[..., c].mean(), 0
+        matrix, wanted = np.empty((height * width, terms)), np.empty(height * width)
+        for r in range(height):
+            v = 2.0 * r / (height - 1) - 1.0
+            for k in range(width):
+                u, at = 2.0 * k / (width - 1) - 1.0, r * width + k
+                grey = rest[r, k, c]
+                columns[at, 1], columns[at, 2], columns[at, 3] = grey - mean, grey * u, grey * v
+                columns[at, 4] = grey * (u * u + v * v)
+                if use[r, k, c]:
+                    matrix[n] = columns[at, :terms]
+                    wanted[n] = change[r, k, c]
+                    n += 1
+        fits[c], normals[c], patches[c] = _reweighted(matrix[:n], wanted[:n], spread[c])
+        for at in range(height * width):
+            total = 0.0
+            for i in range(terms):
+                total += columns[at, i] * fits[c, i]
+            fitted[at // width, at % width, c] = total
+    return fits, normals, patches, fitted
+
+
+@njit(cache=True, nogil=True)
+def _reweighted(
+    matrix: NDArray[Any], wanted: NDArray[Any], spread: float
+) -> tuple[NDArray[Any], NDArray[Any], float]:
+    """Coefficients (n,), normal matrix (n, n) and squared error of a patch; ``matrix`` (N, n)."""
+    count, n = matrix.shape
+    usual, soft, size = LEAST_SCATTER_GREY, np.ones(count), np.empty(count)
+    normal, right = np.eye(n), np.empty(n)
+    fit, before, patch = np.zeros((n, 1)), np.zeros((n, 1)), 0.0
+    for _ in range(ROBUST_PASSES if count else 0):
         # What light does beyond these columns is alike over patches.
-        patch = usual**2 * given.sum() / INDEPENDENT_PATCHES
-        ridge = np.full(matrix.shape[1], patch / spread**2)
-        ridge[0] = 1e-6
-        normal = weighted.T @ matrix + np.diag(ridge)
-        fit = np.linalg.solve(normal, weighted.T @ wanted)
-        size = np.abs(wanted - matrix @ fit)
-        usual = max(float(np.median(size[given > 0])), LEAST_SCATTER_GREY)
+        patch = usual**2 * count / INDEPENDENT_PATCHES
+        normal[:], right[:] = patch / spread**2 * np.eye(n), 0.0
+        normal[0, 0] = 1e-6
+        for k in range(count):
+            for i in range(n):
+                share = soft[k] * matrix[k, i]
+                right[i] += share * wanted[k]
+                for j in range(n):
+                    normal[i, j] += share * matrix[k, j]
+        before[:, 0], fit[:, 0] = fit[:, 0], np.linalg.solve(normal, right)
+        moved = 0.0
+        for k in range(count):
+            model, then = 0.0, 0.0
+            for i in range(n):
+                model += matrix[k, i] * fit[i, 0]
+                then += matrix[k, i] * before[i, 0]
+            size[k] = abs(wanted[k] - model)
+            moved = max(moved, abs(model - then))
+        if moved < SETTLED_GREY:
+            break
+        usual = max(np.median(size), LEAST_SCATTER_GREY)
         soft = 1.0 / (1.0 + (size / (usual + 1.0)) ** 2)
-    return np.asarray(fit), np.linalg.inv(normal) * patch * MEDIAN_TO_SIGMA**2
+    return fit[:, 0], normal, patch

@@ -7,39 +7,26 @@ flat in the result.
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dctn, idctn
-from scipy.ndimage import binary_dilation, distance_transform_edt, gaussian_filter, label, maximum
-from scipy.spatial import cKDTree
+from scipy.ndimage import binary_dilation, find_objects, label
 
 from tacgen.core.compiled import njit
 from tacgen.core.errors import TableError
 from tacgen.core.types import BoolArray, FloatArray
 from tacgen.optics.drift import Drift, drift_of
-from tacgen.optics.same_view import SAME_VIEW, other_view
+from tacgen.optics.same_view import SAME_VIEW, View
+from tacgen.optics.slopes import SlopeFinder
 from tacgen.optics.table import LookupTable
-
-Tile = tuple[tuple[int, int], tuple[int, int]]
-"""Bounds: (top, bottom), (left, right)."""
 
 MAX_WIDTH_PX = 320
 """Pictures are averaged down to about this width: a shape needs no more, and noise goes."""
-TILE_PX = 32
-"""Over so few pixels the table's dependence on place is a small correction to a first guess."""
-GRID_NODES = 101  # slopes a side: steps of 0.06, refined afterwards
 STEEPEST_RAD = 1.25  # of the slopes searched; tables seldom reach further
-LONGEST_STEP_NODES = 2.0
-"""Longest step of Gauss–Newton, in nodes of the slope grid: so far colour is nearly linear."""
-SLOPE_PRIOR_GREY = 0.3
-"""Grey levels that a slope of 1 has to be worth: of two slopes alike in colour, the one nearer to
-the gel at rest. More flattens steep walls, by 1 % of a deep press's volume at 1 grey level."""
-SEARCH_PRIOR_GREY = 3.0
-"""The same in the first search, whose colours are those of the middle of a tile: without it some
-pixels start at a steep slope of like colour, and stay there."""
 MOST_CHANGE_GREY = 12.0  # of half of all pixels, without drift: less than between two sensors
 FAINTEST_GAIN = 0.2  # of a background that still is of the table's gel
 MOST_UNLIKE_GREY = 4.0  # of two gels of one sensor it is 1, of two sensors 5 to 30
@@ -49,20 +36,17 @@ MOST_AT_STEEPEST = 0.01
 """Share of a contact's pixels at the table's steepest slope: up to it balls, edges and cylinders
 were read within 5 %, beyond it deep flat punches up to 50 % too shallow."""
 AT_STEEPEST = 0.97  # of the steepest slope: a step of the search grid below it
-LEAST_CHANGE_GREY = (
-    1.0  # over the three colours: what changes less is nearly at rest, and starts there
-)
-REFINEMENTS = 3  # of each slope between the grid's nodes
 CONTACT_PASSES = 3
 """Slopes, depth and what a contact of that depth adds, in turn: a ball's depth is 6 % too large
 after the first and 1 % after the third, and more change nothing."""
+FILL_BLUR_PX = 3.0  # of what stands around dots, which fills them in
 BLUR_PX = 0.7  # lowers the camera's noise; below a contact's finest feature
 STEEP_SHARE = 0.9
 """The imprint's rim is the outermost contour at least so steep as the steepest one: where a gel
 keeps to an object its walls get steeper outwards, beside it the gel levels off."""
 RIM_LAYERS = 0.4
 """Share of the depth inside the rim whose layers tell how the object goes on beyond it."""
-RIM_BLUR_PX = 1.0  # noise makes contours long
+RIM_BLUR_PX, RIM_BORDER_PX = 1.0, 5  # noise makes contours long; so far the blur reaches
 RIM_LEVELS, RIM_WINDOW = 46, 3  # of the depth; contours so many levels up and down are compared
 CONTINUED_STDERR = 0.25  # of the volume outside the rim: half of it for a cone taken for a ball
 CLEAR_OF_NOISE = 4.0  # standard errors of the level; a contact is deeper
@@ -122,10 +106,11 @@ class Shape:
         least_mm = max(least_mm, CLEAR_OF_NOISE * self.level_stderr_mm)
         depth, seen = np.zeros_like(surface), np.zeros(surface.shape, dtype=np.bool_)
         patches, count = label(surface > least_mm)
-        deepest = np.asarray(maximum(surface, patches, range(1, count + 1)))
+        deepest = _deepest(surface, patches, count)
         clear = max(least_mm, LEAST_SHARE * float(surface.max()))
-        for patch in np.flatnonzero(deepest > clear) + 1:
-            one = _continued(surface, patches == patch, least_mm)
+        boxes = find_objects(patches)
+        for patch in np.flatnonzero(deepest > clear):
+            one = _continued(surface, patches == patch, boxes[patch - 1], least_mm)
             np.maximum(depth, one.depth_mm, out=depth)
             seen |= one.seen
         return SunkenObject(depth, seen)
@@ -147,8 +132,8 @@ class Shape:
         if not touched.any():
             return 0.0
         pixel_mm2 = self.mm_per_px**2
-        gy, gx = np.gradient(self.depth_mm, self.mm_per_px)
-        steepness = math.sqrt(float(np.square([gx, gy])[:, touched].sum(axis=0).mean()))
+        gy, gx = (np.asarray(by) for by in np.gradient(self.depth_mm, self.mm_per_px))
+        steepness = math.sqrt(float((gx[touched] ** 2 + gy[touched] ** 2).mean()))
         volume = float(imprint.depth_mm.sum()) * pixel_mm2
         parts = (
             volume * self.slope_stderr / max(steepness, self.slope_stderr),
@@ -173,21 +158,25 @@ class Reconstructor:
         self, table: LookupTable, background: NDArray[np.uint8], dome_radius_mm: float = 0.0
     ) -> None:
         height, width = background.shape[:2]
-        self._background = background
         self._table = table
         self._step = max(1, round(width / MAX_WIDTH_PX))
         self._shape = height // self._step, width // self._step
         self.mm_per_px = table.mm_per_px * self._step
         self._seen = _averaged(background.astype(np.float32), self._step, self._shape)
         self.steepest = float(np.tan(min(table.max_slope_rad, STEEPEST_RAD)))
-        self._grid = _cartesian(table, self.steepest)
-        self._rest = _rest_slopes(self._shape, self.mm_per_px, dome_radius_mm)
-        self._rest_colors = self._colors_at(self._rest)[0]
+        model, size = table.image_model, self._shape
+        at_rest = _rest_slopes(size, self.mm_per_px, dome_radius_mm)
+        self._slopes = SlopeFinder(model, self.steepest, at_rest)
+        self._coarse: SlopeFinder | None = None
+        if model.sees_depth:
+            half = size[0] // 2, size[1] // 2
+            at_rest = _rest_slopes(half, 2.0 * self.mm_per_px, dome_radius_mm)
+            self._coarse = SlopeFinder(model, self.steepest, at_rest, self._slopes)
         # The gel at rest as the table renders it: on a dome, its own background is another picture.
-        dome = cv2.resize(self._rest_colors.astype(np.float32), (width, height))
-        at_rest = table.background + dome
-        _check_view(background, at_rest, "the background", "the table's")
-        rest = _averaged(at_rest.astype(np.float32), self._step, self._shape)
+        dome = cv2.resize(self._slopes.rest_colors, (width, height))
+        rest = _averaged((table.background + dome).astype(np.float32), self._step, self._shape)
+        _check_view(self._seen, View(rest, self._step), "the background", "the table's")
+        self._view = View(self._seen, self._step)
         light = drift_of(self._seen - rest, rest, np.ones(self._shape), falls_outwards=True)
         # Over the background's contrast alone an offset looks like another gamma.
         offset = np.abs(light.offset).mean() / rest.mean()
@@ -200,28 +189,22 @@ class Reconstructor:
             )
             raise TableError(msg)
         self.doubts = _doubts(light, self._step)
-        height, width = self._shape
-        tiles = [
-            ((top, min(top + TILE_PX, height)), (left, min(left + TILE_PX, width)))
-            for top in range(0, height, TILE_PX)
-            for left in range(0, width, TILE_PX)
-        ]
-        self._trees = {tile: self._tree_of(tile) for tile in tiles}
 
     def shape_of(self, rgb: NDArray[np.uint8], hidden: NDArray[np.bool_] | None = None) -> Shape:
         """Depth of one picture (H, W, 3); ``hidden`` (H, W) marks pixels that show no gel.
 
         Raises ``TableError`` if it is turned, shifted or coloured otherwise than the background.
         """
-        _check_view(rgb, self._background, "the image", "the background")
-        change = _averaged(rgb.astype(np.float32), self._step, self._shape) - self._seen
+        picture = _averaged(rgb.astype(np.float32), self._step, self._shape)
+        _check_view(picture, self._view, "the image", "the background")
+        change = picture - self._seen
         known = np.ones(self._shape, dtype=np.float32)
         if hidden is not None:
             covered = _averaged(hidden.astype(np.float32), self._step, self._shape)
             known = (covered < 0.25).astype(np.float32)
         drift = drift_of(change, self._seen, known)
-        change = change - drift.added
-        half = float(np.median(np.abs(change).max(axis=2)))
+        change -= drift.added
+        half = float(np.median(np.abs(change[::2, ::2]).max(axis=2)))
         if half > MOST_CHANGE_GREY or np.any(np.abs(_brightness(drift) - 1.0) > MOST_GAIN):
             msg = (
                 f"the image does not match the background: it is {_gains(drift)} and half of it "
@@ -229,34 +212,56 @@ class Reconstructor:
                 "the background in the same session as the image"
             )
             raise TableError(msg)
-        change = change / (drift.gain * self._gain)
-        seen = gaussian_filter(_filled(change, known), (BLUR_PX, BLUR_PX, 0.0))
-        change = seen
+        change /= drift.gain * self._gain
+        blurred = cv2.GaussianBlur(_filled(change, known), (7, 7), BLUR_PX)
+        seen: FloatArray = np.asarray(blurred, np.float32)
         bare = drift.bare if drift.bare.any() else known > 0
-        before = None
-        for _ in range(CONTACT_PASSES if self._table.image_model.sees_depth else 1):
-            found = self._slopes_of(change, before)
-            before = change, found
-            depth = self._depth_of(found, known, bare)
-            # On bare gel an error of the level would become light, slopes and a larger error.
-            change = seen - self._contact_light(found, np.where(drift.bare, 0.0, depth))
+        of_slopes: FloatArray = seen
+        if self._coarse is not None:
+            pressed = self._pressed(self._coarse, seen, known, drift)
+            of_slopes = self._slopes.without_contact_light(seen, *pressed, drift.bare)
+        found = self._slopes.slopes_of(of_slopes)
+        depth = self._depth_of(self._slopes, found, known, bare)
         contact = (depth > 0.1 * depth.max()) & (known > 0)
-        stderr = self._slope_stderr(found, change, contact)
-        steep = contact & (np.hypot(*np.moveaxis(found, -1, 0)) >= AT_STEEPEST * self.steepest)
+        stderr = self._slopes.stderr(seen, found, np.where(drift.bare, 0.0, depth), contact)
+        steep = contact & (np.hypot(found[..., 0], found[..., 1]) >= AT_STEEPEST * self.steepest)
         share = unknown_share = float(steep.sum() / max(contact.sum(), 1))
         if share > MOST_AT_STEEPEST:
             found, unknown = self._with_flanks(found, depth, steep)
-            depth = self._depth_of(found, known, bare)
+            depth = self._depth_of(self._slopes, found, known, bare)
             unknown_share = float(unknown.sum() / contact.sum())
         level = float(np.sqrt(np.mean(depth[_upper(-depth, bare)] ** 2)))
         light = float(self._gain_stderr[contact].mean()) if contact.any() else 0.0
         return Shape(depth, self.mm_per_px, stderr, share, level, unknown_share, light)
 
-    def _depth_of(self, slopes: FloatArray, known: FloatArray, bare: BoolArray) -> FloatArray:
+    def _pressed(
+        self, coarse: SlopeFinder, seen: FloatArray, known: FloatArray, drift: Drift
+    ) -> tuple[FloatArray, FloatArray]:
+        """Slopes (h, w, 2) and depth (h, w), mm, of a picture, found at half its size."""
+        size = coarse.rest.shape[1], coarse.rest.shape[0]
+        small = np.asarray(cv2.resize(seen, size, interpolation=cv2.INTER_AREA), np.float32)
+        shown = np.asarray(cv2.resize(known, size, interpolation=cv2.INTER_AREA) > 0.5, np.float32)
+        off = cv2.resize(drift.bare.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
+        bare = off if off.any() else shown > 0
+        change, before = small, None
+        for _ in range(CONTACT_PASSES - 1):
+            found = coarse.slopes_of(change, before)
+            before = change, found
+            depth = self._depth_of(coarse, found, shown, bare)
+            change = coarse.without_contact_light(small, found, depth, off)
+        slopes, deep = (cv2.resize(part, seen.shape[1::-1]) for part in (found, depth))
+        return np.asarray(slopes), np.asarray(deep)
+
+    def _depth_of(
+        self, finder: SlopeFinder, slopes: FloatArray, known: FloatArray, bare: BoolArray
+    ) -> FloatArray:
         """Depth (h, w), mm, of the surface of these slopes (h, w, 2) below the ``bare`` gel."""
-        bent = _filled(slopes - self._rest, known)
-        surface = integrate(bent[..., 0], bent[..., 1], self.mm_per_px)
-        return np.asarray(np.median(surface[_upper(surface, bare)]) - surface)
+        bent = _filled(slopes - finder.rest, known)
+        scale = self.mm_per_px * self._shape[1] / bent.shape[1]
+        surface = integrate(bent[..., 0], bent[..., 1], scale)
+        # The middle of its upper half: below flat faces lies no bare gel.
+        level = float(np.quantile(surface[::2, ::2][bare[::2, ::2]], 0.75))
+        return np.asarray(level - surface)
 
     def _with_flanks(
         self, slopes: FloatArray, depth: FloatArray, steep: BoolArray
@@ -286,107 +291,32 @@ class Reconstructor:
         slopes[steep] *= np.where(unknown[steep], 1.0, np.maximum(steeper / now, 1.0))[:, None]
         return slopes, unknown
 
-    def _contact_light(self, slopes: FloatArray, depth_mm: FloatArray) -> FloatArray:
-        """Grey levels (h, w, 3) that a contact of these slopes and depths adds."""
-        height, width = self._shape
-        rows, columns = np.nonzero(depth_mm > 0)
-        u, v = (columns + 0.5) / width - 0.5, (rows + 0.5) / height - 0.5
-        pressed = slopes[rows, columns]
-        added = np.zeros((height, width, 3))
-        added[rows, columns] = self._table.image_model.contact_colors(
-            pressed[:, 0], pressed[:, 1], depth_mm[rows, columns], u, v
-        )
-        return added
 
-    def _slope_stderr(self, slopes: FloatArray, change: FloatArray, where: BoolArray) -> float:
-        """Standard error of the slopes in a region.
-
-        Three grey levels less two slopes leave one residual a pixel; its mean square is taken as
-        the variance of each grey level, and (JᵀJ)⁻¹ makes it one of the slopes.
-        """
-        if not where.any():
-            return math.nan
-        here, by_x, by_y = (part[where] for part in self._colors_at(slopes))
-        variance = (((change + self._rest_colors)[where] - here) ** 2).sum(axis=-1).mean()
-        xx, yy, xy = (by_x**2).sum(-1), (by_y**2).sum(-1), (by_x * by_y).sum(-1)
-        spread = (xx + yy) / np.maximum(xx * yy - xy**2, 1e-9)
-        return float(np.sqrt(0.5 * variance * np.median(spread)))
-
-    def _slopes_of(
-        self, change: FloatArray, before: tuple[FloatArray, FloatArray] | None = None
-    ) -> FloatArray:
-        """(h, w, 2) slopes that explain a change of grey levels from the gel at rest.
-
-        ``before`` are another change and its slopes, which stay where the change is the same.
-        """
-        asked = np.ones(self._shape, dtype=np.bool_)
-        slopes = self._rest.copy()
-        if before is not None:
-            asked, slopes = (before[0] != change).any(axis=-1), before[1].copy()
-        wanted = change + self._rest_colors
-        self._search(change, wanted, asked, slopes)
-        _refine(self._grid, self.steepest, wanted, self._rest, asked, slopes)
-        return slopes
-
-    def _search(
-        self, change: FloatArray, wanted: FloatArray, asked: BoolArray, slopes: FloatArray
-    ) -> None:
-        """Write the slopes of the nearest colours where ``asked``, of those at a tile's middle.
-
-        Where the gel at rest explains the colour as well, or nearly all of it, it is at rest.
-        """
-        slopes[asked] = self._rest[asked]
-        axis = np.linspace(-self.steepest, self.steepest, self._grid.shape[0])
-        square = (change**2).sum(axis=-1)
-        asked = asked & (square > LEAST_CHANGE_GREY**2)
-        for ((top, bottom), (left, right)), (tree, nodes) in self._trees.items():
-            where = slice(top, bottom), slice(left, right)
-            here = asked[where]
-            colors = wanted[where][here]
-            far, nearest = tree.query(np.column_stack([colors, np.zeros(len(colors))]))
-            found = np.stack([axis[nodes[nearest, 1]], axis[nodes[nearest, 0]]], axis=-1)
-            is_rest = square[where][here] <= far**2
-            found[is_rest] = slopes[where][here][is_rest]
-            slopes[where][here] = found
-
-    def _colors_at(self, slopes: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Grey levels (h, w, 3) that the table adds at slopes (h, w, 2), and how they change
-        with ∂h/∂x and with ∂h/∂y.
-        """
-        colors = np.empty((3, *self._shape, 3))
-        _interpolate(self._grid, self.steepest, slopes, colors)
-        return colors[0], colors[1], colors[2]
-
-    def _tree_of(self, tile: Tile) -> tuple[cKDTree, NDArray[np.integer]]:
-        """Colours of the slopes at the middle of a tile, searchable; and the slopes' indices."""
-        (top, bottom), (left, right) = tile
-        middle = np.array([top + bottom, left + right]) / 2 / np.array(self._shape)
-        row, column = np.rint(middle * (np.array(self._grid.shape[2:4]) - 1)).astype(int)
-        axis = np.linspace(-self.steepest, self.steepest, self._grid.shape[0])
-        steepness = np.hypot(axis[:, None], axis[None, :])
-        nodes = np.argwhere(steepness <= self.steepest)
-        colors = self._grid[nodes[:, 0], nodes[:, 1], row, column]
-        flatness = SEARCH_PRIOR_GREY * steepness[nodes[:, 0], nodes[:, 1]]
-        return cKDTree(np.column_stack([colors, flatness])), nodes
-
-
-def _continued(surface: FloatArray, patch: BoolArray, least_mm: float) -> SunkenObject:
+def _continued(
+    surface: FloatArray, patch: BoolArray, box: tuple[slice, ...], least_mm: float
+) -> SunkenObject:
     """A surface (h, w) as it is inside the rim of a contact, continued to level 0 outside.
 
-    ``patch`` (h, w) is what of the contact is deeper than ``least_mm``.
+    ``patch`` (h, w), within ``box``, is what of the contact is deeper than ``least_mm``.
     """
-    deepest = float(surface[patch].max())
-    rim = _rim_mm(np.where(patch, surface, least_mm), least_mm)
+    around = tuple(
+        slice(max(part.start - RIM_BORDER_PX, 0), part.stop + RIM_BORDER_PX) for part in box
+    )
+    near = np.where(patch[around], surface[around], least_mm)
+    deepest = float(near.max())
+    rim = _rim_mm(near, least_mm)
     inside = patch & (surface > rim)
     depth = np.where(inside, surface, 0.0)
     layers = rim + np.linspace(0.0, RIM_LAYERS, 12) * (deepest - rim)
-    pixels = (surface[inside][:, None] > layers).sum(axis=0)
+    pixels = _above(surface[inside], layers)
     growth = max(-float(np.polyfit(layers, pixels, 1)[0]), 0.0)
     outside = np.flatnonzero(~inside)
     beyond = min(round(growth * rim), len(outside))
     if beyond:
-        distance = distance_transform_edt(~inside).ravel()[outside]
-        nearest = outside[np.argsort(distance, kind="stable")[:beyond]]
+        away = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        distance = np.asarray(away).ravel()[outside]
+        near = distance <= np.partition(distance, beyond - 1)[beyond - 1]
+        nearest = outside[near][np.argsort(distance[near], kind="stable")[:beyond]]
         depth.flat[nearest] = rim * (1.0 - (np.arange(beyond) + 0.5) / (growth * rim))
     return SunkenObject(depth, np.asarray(inside))
 
@@ -397,7 +327,7 @@ def _rim_mm(surface: FloatArray, least_mm: float) -> float:
     By the co-area formula the area between two contours is their length times the mean of
     1/steepness; both are counted in pixels.
     """
-    smooth = gaussian_filter(surface, RIM_BLUR_PX)
+    smooth = np.asarray(cv2.GaussianBlur(surface, (9, 9), RIM_BLUR_PX))
     levels = np.linspace(least_mm, float(smooth.max()), RIM_LEVELS)[:-1]
     step = levels[1] - levels[0]
     area = _above(smooth.ravel(), levels)
@@ -414,118 +344,27 @@ def _rim_mm(surface: FloatArray, least_mm: float) -> float:
     return float(levels[wide + steep[0]])
 
 
-def _above(values: FloatArray, levels: FloatArray) -> FloatArray:
-    """How many values exceed each level (n,), in increasing order."""
-    return np.asarray(len(values) - np.searchsorted(np.sort(values), levels, side="right"), float)
-
-
 @njit(cache=True, nogil=True)
-def _color_at(
-    grid: NDArray[Any], steepest: float, place: tuple[float, float], x: float, y: float, to: Any
-) -> None:
-    """Linear interpolation of ``grid`` (see ``_cartesian``) at a place, in shares of the picture's
-    height and width, and at slopes x and y; into ``to`` (3, 3) go the grey levels and their
-    derivatives by both slopes.
-    """
-    m, n_rows, n_columns = grid.shape[0], grid.shape[2], grid.shape[3]
-    per_slope = (m - 1) / (2.0 * steepest)
-    v, u = place[0] * (n_rows - 1), place[1] * (n_columns - 1)
-    row, column = min(int(v), n_rows - 2), min(int(u), n_columns - 2)
-    down, across = v - row, u - column
-    # Just below the last node, so that there always is a next one.
-    x = min(max((x + steepest) * per_slope, 0.0), m - 1.001)
-    y = min(max((y + steepest) * per_slope, 0.0), m - 1.001)
-    i, j = int(y), int(x)
-    fy, fx = y - i, x - j
-    upper_left = upper_right = lower_left = lower_right = 0.0
-    for c in range(3):
-        for which in range(4):
-            p, q = i + which // 2, j + which % 2
-            top = grid[p, q, row, column, c]
-            top += across * (grid[p, q, row, column + 1, c] - top)
-            low = grid[p, q, row + 1, column, c]
-            low += across * (grid[p, q, row + 1, column + 1, c] - low)
-            value = top + down * (low - top)
-            if which == 0:
-                upper_left = value
-            elif which == 1:
-                upper_right = value
-            elif which == 2:
-                lower_left = value
-            else:
-                lower_right = value
-        left = upper_left + fy * (lower_left - upper_left)
-        right = upper_right + fy * (lower_right - upper_right)
-        upper = upper_left + fx * (upper_right - upper_left)
-        lower = lower_left + fx * (lower_right - lower_left)
-        to[0, c] = left + fx * (right - left)
-        to[1, c] = (right - left) * per_slope
-        to[2, c] = (lower - upper) * per_slope
+def _deepest(surface: NDArray[Any], patches: NDArray[Any], count: int) -> NDArray[Any]:
+    """The largest value (count + 1,) of a surface (h, w) in each patch; 0 for patch 0, none."""
+    deepest = np.zeros(count + 1, surface.dtype)
+    for row in range(surface.shape[0]):
+        for column in range(surface.shape[1]):
+            patch = patches[row, column]
+            if patch:
+                deepest[patch] = max(deepest[patch], surface[row, column])
+    return deepest
 
 
-@njit(cache=True, nogil=True)
-def _interpolate(
-    grid: NDArray[Any], steepest: float, slopes: NDArray[Any], colors: NDArray[Any]
-) -> None:
-    """``_color_at`` slopes (h, w, 2), each at its place, into ``colors`` (3, h, w, 3)."""
-    height, width = slopes.shape[:2]
-    for r in range(height):
-        for k in range(width):
-            place = (r + 0.5) / height, (k + 0.5) / width
-            _color_at(grid, steepest, place, slopes[r, k, 0], slopes[r, k, 1], colors[:, r, k])
-
-
-@njit(cache=True, nogil=True)
-def _refine(
-    grid: NDArray[Any],
-    steepest: float,
-    wanted: NDArray[Any],
-    rest: NDArray[Any],
-    asked: NDArray[Any],
-    slopes: NDArray[Any],
-) -> None:
-    """Gauss–Newton steps of ``slopes`` (h, w, 2) where ``asked`` (h, w), towards ``wanted``.
-
-    On the squared difference of colours, with a weak prior for the slopes ``rest`` (h, w, 2).
-    """
-    height, width = slopes.shape[:2]
-    prior = SLOPE_PRIOR_GREY**2
-    longest = LONGEST_STEP_NODES * 2.0 * steepest / (GRID_NODES - 1)
-    to = np.empty((3, 3))
-    for r in range(height):
-        for k in range(width):
-            if not asked[r, k]:
-                continue
-            place = (r + 0.5) / height, (k + 0.5) / width
-            x, y = slopes[r, k]
-            for _ in range(REFINEMENTS):
-                _color_at(grid, steepest, place, x, y, to)
-                xx, yy, xy = prior, prior, 0.0
-                bx, by = prior * (rest[r, k, 0] - x), prior * (rest[r, k, 1] - y)
-                for c in range(3):
-                    off = wanted[r, k, c] - to[0, c]
-                    xx += to[1, c] * to[1, c]
-                    yy += to[2, c] * to[2, c]
-                    xy += to[1, c] * to[2, c]
-                    bx += to[1, c] * off
-                    by += to[2, c] * off
-                determinant = xx * yy - xy * xy
-                step_x = (yy * bx - xy * by) / determinant
-                step_y = (xx * by - xy * bx) / determinant
-                x += min(max(step_x, -longest), longest)
-                y += min(max(step_y, -longest), longest)
-                x, y = min(max(x, -steepest), steepest), min(max(y, -steepest), steepest)
-            slopes[r, k, 0], slopes[r, k, 1] = x, y
-
-
-def _cartesian(table: LookupTable, steepest: float) -> NDArray[np.float32]:
-    """Grey levels (m, m, rows, columns, 3) that slopes (∂h/∂y, ∂h/∂x) on a square grid add at
-    nodes of position, evenly from edge to edge of the image.
-    """
-    axis = np.linspace(-steepest, steepest, GRID_NODES)
-    slope_y, slope_x = np.meshgrid(axis, axis, indexing="ij")
-    grid = table.image_model.slope_colors(slope_x, slope_y)
-    return np.ascontiguousarray(grid, dtype=np.float32)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _above(values: NDArray[Any], levels: NDArray[Any]) -> NDArray[Any]:
+    """How many values (N,) exceed each level (n,), evenly spaced in increasing order."""
+    n = len(levels)
+    counts, per_step = np.zeros(n + 1), (n - 1) / (levels[-1] - levels[0])
+    for value in values:
+        passed = int(min(max(math.ceil((value - levels[0]) * per_step), 0.0), float(n)))
+        counts[passed] += 1
+    return counts[::-1].cumsum()[::-1][1:]
 
 
 def _rest_slopes(shape_px: tuple[int, int], mm_per_px: float, dome_radius_mm: float) -> FloatArray:
@@ -534,21 +373,21 @@ def _rest_slopes(shape_px: tuple[int, int], mm_per_px: float, dome_radius_mm: fl
     x = (columns - (shape_px[1] - 1) / 2) * mm_per_px
     y = (rows - (shape_px[0] - 1) / 2) * mm_per_px
     if dome_radius_mm <= 0:
-        return np.zeros((*shape_px, 2))
+        return np.zeros((*shape_px, 2), np.float32)
     height = np.sqrt(np.maximum(dome_radius_mm**2 - x**2 - y**2, 1e-6))
-    return np.stack([-x / height, -y / height], axis=-1)
+    return np.stack([-x / height, -y / height], axis=-1).astype(np.float32)
 
 
-def _check_view(image: NDArray[Any], rest: NDArray[Any], what: str, whose: str) -> None:
+def _check_view(image: NDArray[Any], rest: View, what: str, whose: str) -> None:
     """Raises ``TableError`` if a picture (H, W, 3) is proven to be of another view."""
-    if wrong := other_view(image, rest):
+    if wrong := rest.other_view(image):
         msg = f"{what} does not match {whose}: {wrong}; {SAME_VIEW}"
         raise TableError(msg)
 
 
 def _brightness(light: Drift) -> FloatArray:
     """Gain of each channel (3,), its median over the picture."""
-    return np.asarray(np.median(light.gain, axis=(0, 1)))
+    return np.asarray(np.median(light.gain[::4, ::4], axis=(0, 1)))
 
 
 def _gains(light: Drift) -> str:
@@ -597,9 +436,9 @@ def _filled(values: FloatArray, known: FloatArray) -> FloatArray:
     """Values (h, w, c) with the unknown pixels filled in from around them."""
     if known.all():
         return values
-    result, sigma = np.where(known[..., None] > 0, values, 0.0), 3.0
-    weight = gaussian_filter(known, sigma)
-    smooth = gaussian_filter(result, (sigma, sigma, 0.0)) / np.maximum(weight, 1e-6)[..., None]
+    result = np.where(known[..., None] > 0, values, np.float32(0.0))
+    weight, around = (cv2.GaussianBlur(part, (0, 0), FILL_BLUR_PX) for part in (known, result))
+    smooth = around / np.maximum(weight, 1e-6)[..., None]
     return np.where(known[..., None] > 0, values, smooth)
 
 
@@ -611,19 +450,24 @@ def integrate(slope_x: FloatArray, slope_y: FloatArray, mm_per_px: float) -> Flo
     Source: Simchony, Chellappa & Shao 1990, Direct analytical methods for solving Poisson
     equations.
     """
-    height, width = slope_x.shape
+    divergence, eigenvalues = np.zeros_like(slope_x), _eigenvalues(slope_x.shape)
     # Slopes stand at pixels; differences between neighbours at the edges between them.
-    across = 0.5 * (slope_x[:, 1:] + slope_x[:, :-1]) * mm_per_px
-    down = 0.5 * (slope_y[1:] + slope_y[:-1]) * mm_per_px
-    divergence = np.zeros((height, width))
+    across = (slope_x[:, 1:] + slope_x[:, :-1]) * (0.5 * mm_per_px)
+    down = (slope_y[1:] + slope_y[:-1]) * (0.5 * mm_per_px)
     divergence[:, :-1] += across
     divergence[:, 1:] -= across
     divergence[:-1] += down
     divergence[1:] -= down
-    rows = 2.0 - 2.0 * np.cos(np.pi * np.arange(height) / height)
-    columns = 2.0 - 2.0 * np.cos(np.pi * np.arange(width) / width)
+    spectrum = dctn(divergence, norm="ortho", overwrite_x=True)
+    spectrum /= eigenvalues
+    spectrum[0, 0] = 0.0
+    return np.asarray(idctn(spectrum, norm="ortho", overwrite_x=True))
+
+
+@lru_cache(maxsize=8)
+def _eigenvalues(shape_px: tuple[int, int]) -> NDArray[np.float32]:
+    """Of Poisson's equation with free edges; 1 in place of the first one, 0."""
+    rows, columns = (2.0 - 2.0 * np.cos(np.pi * np.arange(n) / n) for n in shape_px)
     eigenvalues = -(rows[:, None] + columns[None, :])
     eigenvalues[0, 0] = 1.0
-    spectrum = dctn(divergence, norm="ortho") / eigenvalues
-    spectrum[0, 0] = 0.0
-    return np.asarray(idctn(spectrum, norm="ortho"))
+    return eigenvalues.astype(np.float32)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.errors import TableError
-from tacgen.core.types import FloatArray
+from tacgen.core.types import FloatArray, Window
 from tacgen.optics import shade
 from tacgen.optics.effects import (
     OpticalEffect,
@@ -22,7 +22,7 @@ from tacgen.optics.effects import (
 )
 from tacgen.optics.markers import draw_markers
 from tacgen.optics.noise import CameraNoise
-from tacgen.optics.smooth import Window, grown
+from tacgen.optics.smooth import grown
 from tacgen.optics.table import Leds, LookupTable
 
 Effects = Mapping[str, Mapping[str, float]]

@@ -1,6 +1,7 @@
 """Whether two pictures show the gel in the same colours, turned and cropped alike."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -8,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from tacgen.core.types import FloatArray
-from tacgen.optics.drift import in_light_of
+from tacgen.optics.drift import apart_grey
 
 MUCH_BETTER = 0.5  # of the difference as it is: what is proven, where lamps and contacts differ too
 CLEARLY_BETTER = 0.8  # than with a lamp brighter at one side, which leaves a picture's noise
@@ -74,38 +75,9 @@ def other_view(image: FloatArray | NDArray[np.uint8], rest: FloatArray | NDArray
     Empty unless that is proven: by the fine texture of the gel, or by the light on the bare gel,
     which up to a gain and an offset of each channel agrees far better that way, and clearly better
     than as it is with a gain that is larger at one side. A gel that looks alike from all sides
-    shows nothing.
+    shows nothing. For many pictures make a :class:`View` once.
     """
-    small, gel = _small(image), _small(rest)
-    if small.std() > CLEARLY_GREY and is_grey(small, gel):
-        return f"it {GREY}"
-    plain = apart_grey(small, gel)
-    if plain < CLEARLY_GREY:
-        return ""
-    aligned = alignment(image, rest)
-    if aligned.other:
-        return aligned.other
-    found = {
-        what: apart_grey(small, np.flip(gel, axes)) / plain
-        for what, axes in REORDERED.items()
-        # Of light that is nearly the same that way, another difference shows nothing.
-        if (axes == (2,) or (not aligned.is_same and plain > DRIFT_GREY))
-        and apart_grey(np.flip(gel, axes), gel) > MUCH_BETTER * plain
-    }
-    if not aligned.is_same:
-        for zoom in ZOOMS:
-            # Compared on the part that both pictures show.
-            share = min(zoom, 1.0 / zoom)
-            middle, rest_middle = _middle(small, share), _middle(gel, share)
-            pair = (small, rest_middle) if zoom > 1 else (middle, gel)
-            as_is = apart_grey(middle, rest_middle)
-            found[f"it is {zoom:g} times as large"] = apart_grey(*pair) / as_is
-        shift = _shift_px(image, rest)
-        found[f"it is shifted by {shift} px"] = _light_at_shift(image, rest, shift)
-    what = min(found, key=lambda name: found[name], default="")
-    # A lamp that is brighter at one side explains what another view would.
-    tilted = CLEARLY_BETTER * apart_grey(small, gel, is_tilted=True) / plain
-    return what if what and found[what] < min(MUCH_BETTER, tilted) else ""
+    return View(rest).other_view(image)
 
 
 def is_grey(image: FloatArray | NDArray[np.uint8], rest: FloatArray | NDArray[np.uint8]) -> bool:
@@ -116,37 +88,103 @@ def is_grey(image: FloatArray | NDArray[np.uint8], rest: FloatArray | NDArray[np
 def alignment(
     image: FloatArray | NDArray[np.uint8], rest: FloatArray | NDArray[np.uint8]
 ) -> Alignment:
-    """How the fine texture of a picture (H, W, 3) lies on that of ``rest`` (H, W, 3).
+    """How the fine texture of a picture (H, W, 3) lies on that of ``rest`` (H, W, 3)."""
+    return View(rest).alignment(image)
 
-    By phase of the correlation at every shift; where it has no clear peak as the pictures lie, also
-    turned, mirrored, and enlarged in steps of 1 %.
+
+class View:
+    """A gel at rest (H, W, 3) that pictures are compared with; what they share is kept.
+
+    Shifts are stated in pixels of which ``step`` were averaged to one, each way.
     """
-    seen, gel = _texture(image), _texture(rest)
-    spectrum, ours = _spectrum(seen), _spectrum(gel)
-    as_is, top, place = _peak(spectrum, ours, seen.shape[:2])
-    if as_is >= BEYOND_DOUBT_SIGMAS:
-        return Alignment(as_is)
-    scale = image.shape[1] / seen.shape[1]
-    shift = round(place[0] * scale), round(place[1] * scale)
-    shifted = f"it is shifted by {shift} px"
-    found = {shifted: top}
-    for what, axes in REORDERED.items():
-        if axes != (2,):
-            found[what] = _peak(spectrum, _spectrum(np.flip(gel, axes)), seen.shape[:2])[1]
-    enlarged = {}
-    for zoom in TEXTURE_ZOOMS:
-        if as_is >= SURE_SIGMAS and abs(zoom - 1) > LARGEST_CLOSE_ZOOM:
-            continue
-        larger = _spectrum(_zoomed(gel, zoom))
-        enlarged[f"it is {zoom:.2f} times as large"] = _peak(spectrum, larger, seen.shape[:2])[1]
-    what = max(found, key=lambda name: found[name])
-    most = max(enlarged, key=lambda name: enlarged[name])
-    if enlarged[most] > ZOOM_HIGHER * found[what]:
-        found, what = enlarged, most
-    is_clear = found[what] >= max(SURE_SIGMAS, MUCH_HIGHER * as_is)
-    if what == shifted:
-        is_clear &= _light_at_shift(image, rest, shift) <= LIGHT_WORSE
-    return Alignment(as_is, what if is_clear else "")
+
+    def __init__(self, rest: FloatArray | NDArray[np.uint8], step: int = 1) -> None:
+        self._rest, self._small, self._texture = rest, _small(rest), _texture(rest)
+        self._step = step
+        self._spectra: dict[float | tuple[int, ...], NDArray[np.complexfloating]] = {}
+
+    @cached_property
+    def _apart_flipped(self) -> dict[tuple[int, ...], float]:
+        """How much the gel's light differs from itself that way round, grey levels."""
+        gel = self._small
+        return {axes: apart_grey(np.flip(gel, axes), gel) for axes in REORDERED.values()}
+
+    def other_view(self, image: FloatArray | NDArray[np.uint8]) -> str:
+        """As of the function."""
+        small, gel = _small(image), self._small
+        if small.std() > CLEARLY_GREY and is_grey(small, gel):
+            return f"it {GREY}"
+        plain = apart_grey(small, gel)
+        if plain < CLEARLY_GREY:
+            return ""
+        aligned = self.alignment(image)
+        if aligned.other:
+            return aligned.other
+        found = {
+            what: apart_grey(small, np.flip(gel, axes)) / plain
+            for what, axes in REORDERED.items()
+            # Of light that is nearly the same that way, another difference shows nothing.
+            if (axes == (2,) or (not aligned.is_same and plain > DRIFT_GREY))
+            and self._apart_flipped[axes] > MUCH_BETTER * plain
+        }
+        if not aligned.is_same:
+            for zoom in ZOOMS:
+                # Compared on the part that both pictures show.
+                share = min(zoom, 1.0 / zoom)
+                middle, rest_middle = _middle(small, share), _middle(gel, share)
+                pair = (small, rest_middle) if zoom > 1 else (middle, gel)
+                as_is = apart_grey(middle, rest_middle)
+                found[f"it is {zoom:g} times as large"] = apart_grey(*pair) / as_is
+            shift = _shift_px(image, self._rest)
+            shifted = f"it is shifted by {shift[0] * self._step, shift[1] * self._step} px"
+            found[shifted] = _light_at_shift(image, self._rest, shift)
+        what = min(found, key=lambda name: found[name], default="")
+        if not what or found[what] >= MUCH_BETTER:
+            return ""
+        # A lamp that is brighter at one side explains what another view would.
+        tilted = CLEARLY_BETTER * apart_grey(small, gel, is_tilted=True) / plain
+        return what if found[what] < tilted else ""
+
+    def alignment(self, image: FloatArray | NDArray[np.uint8]) -> Alignment:
+        """How the fine texture of a picture (H, W, 3) lies on that of the gel at rest.
+
+        By phase of the correlation at every shift; where it has no clear peak as the pictures lie,
+        also turned, mirrored, and enlarged in steps of 1 %.
+        """
+        seen = _texture(image)
+        spectrum, size = _spectrum(seen), (seen.shape[0], seen.shape[1])
+        as_is, top, place = _peak(spectrum, self._spectrum(()), size)
+        if as_is >= BEYOND_DOUBT_SIGMAS:
+            return Alignment(as_is)
+        scale = image.shape[1] / seen.shape[1]
+        shift = round(place[0] * scale), round(place[1] * scale)
+        shifted = f"it is shifted by {shift[0] * self._step, shift[1] * self._step} px"
+        found = {shifted: top}
+        for what, axes in REORDERED.items():
+            if axes != (2,):
+                found[what] = _peak(spectrum, self._spectrum(axes), size)[1]
+        enlarged = {}
+        for zoom in TEXTURE_ZOOMS:
+            if as_is >= SURE_SIGMAS and abs(zoom - 1) > LARGEST_CLOSE_ZOOM:
+                continue
+            larger = _peak(spectrum, self._spectrum(zoom), size)[1]
+            enlarged[f"it is {zoom:.2f} times as large"] = larger
+        what = max(found, key=lambda name: found[name])
+        most = max(enlarged, key=lambda name: enlarged[name])
+        if enlarged[most] > ZOOM_HIGHER * found[what]:
+            found, what = enlarged, most
+        is_clear = found[what] >= max(SURE_SIGMAS, MUCH_HIGHER * as_is)
+        if what == shifted:
+            is_clear &= _light_at_shift(image, self._rest, shift) <= LIGHT_WORSE
+        return Alignment(as_is, what if is_clear else "")
+
+    def _spectrum(self, how: float | tuple[int, ...]) -> NDArray[np.complexfloating]:
+        """Of the gel's texture flipped along axes, or enlarged."""
+        if how not in self._spectra:
+            gel = self._texture
+            other = np.flip(gel, how) if isinstance(how, tuple) else _zoomed(gel, how)
+            self._spectra[how] = _spectrum(other)
+        return self._spectra[how]
 
 
 def _texture(image: FloatArray | NDArray[np.uint8]) -> FloatArray:
@@ -159,14 +197,20 @@ def _texture(image: FloatArray | NDArray[np.uint8]) -> FloatArray:
     noise, fine, around = TEXTURE_SIGMAS_PX
     picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), noise))
     picture = picture - cv2.GaussianBlur(picture, (0, 0), fine)
-    contrast = np.sqrt(cv2.GaussianBlur(picture * picture, (0, 0), around)) + 0.5
-    return np.asarray(np.clip(picture / contrast, -LARGEST_TEXTURE, LARGEST_TEXTURE))
+    # So wide a blur needs no more than every fourth pixel.
+    size = picture.shape[1::-1]
+    quarter = max(1, size[0] // 4), max(1, size[1] // 4)
+    power = cv2.resize(picture * picture, quarter, interpolation=cv2.INTER_AREA)
+    contrast = np.sqrt(cv2.GaussianBlur(power, (0, 0), around / 4)) + 0.5
+    picture /= np.asarray(cv2.resize(contrast, size, interpolation=cv2.INTER_LINEAR))
+    return np.asarray(np.clip(picture, -LARGEST_TEXTURE, LARGEST_TEXTURE, out=picture))
 
 
 def _spectrum(texture: FloatArray) -> NDArray[np.complexfloating]:
-    """Of each channel (h, w', 3); edges are faded out."""
-    window = cv2.createHanningWindow(texture.shape[1::-1], cv2.CV_32F)
-    return np.asarray(fft.rfft2(texture * window[..., None], axes=(0, 1)))
+    """Of each channel (3, h, w'); edges are faded out."""
+    window = np.asarray(cv2.createHanningWindow(texture.shape[1::-1], cv2.CV_32F))
+    faded = np.stack([texture[..., channel] * window for channel in range(3)])
+    return np.asarray(fft.rfft2(faded, axes=(1, 2)))
 
 
 def _peak(
@@ -174,7 +218,7 @@ def _peak(
 ) -> tuple[float, float, tuple[int, int]]:
     """Height of the correlation as the pictures lie, its highest and where (x, y) that is."""
     height, width = shape
-    together = fft.irfft2((one * np.conj(other)).sum(axis=2), s=shape)
+    together = fft.irfft2((one * np.conj(other)).sum(axis=0), s=shape)
     scatter = float(together.std())
     if not scatter > 0:
         return 0.0, 0.0, (0, 0)
@@ -226,13 +270,6 @@ def _middle(image: FloatArray, share: float) -> FloatArray:
     )
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     return np.asarray(cv2.warpAffine(image, scale, (width, height), flags=flags))
-
-
-def apart_grey(image: FloatArray, rest: FloatArray, *, is_tilted: bool = False) -> float:
-    """Median difference, grey levels, of two pictures (h, w, 3) after gain and offset."""
-    lit = in_light_of(image, rest, is_tilted=is_tilted)
-    differences = np.median(np.abs(image - lit), axis=(0, 1))
-    return float(np.median(differences))
 
 
 def _small(image: FloatArray | NDArray[np.uint8]) -> FloatArray:

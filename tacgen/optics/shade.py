@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.compiled import njit
-from tacgen.optics.smooth import Window, copy_row
+from tacgen.core.types import Window
+from tacgen.optics.smooth import copy_row
 from tacgen.optics.vector import NODE_FLOATS, blend_nodes, blend_places
 
 N_FEATURES = 6  # x², y², xy, x, y, 1 in image position, Taxim's order
@@ -34,8 +35,8 @@ class QuadraticNodes(NamedTuple):
 class ResponseNodes(NamedTuple):
     """A response made ready for images of ``background`` (H, W, 3).
 
-    ``response`` is a ``packed_response`` and ``contact`` a ``packed_contact``; ``rest_mm`` (H, W)
-    is the gel at rest, gel frame.
+    ``response`` is a ``packed_response`` and ``contact`` are ``contact_lines``, none where a
+    contact adds nothing; ``rest_mm`` (H, W) is the gel at rest, gel frame.
     """
 
     mm_per_px: float
@@ -86,6 +87,20 @@ def packed_contact(change: NDArray[np.float32]) -> NDArray[np.float32]:
     packed = np.zeros((*change.shape[:3], _LANES), dtype=np.float32)
     packed[..., :3] = change
     return packed.reshape(len(change), -1)
+
+
+def contact_lines(change: NDArray[np.float32], width_px: int) -> NDArray[np.float32]:
+    """What a contact adds (n_rows, 9, W): at the nodes' rows, linear between their columns.
+
+    R, G and B for 1, nx and ny in turn.
+    """
+    n_rows, n_columns = change.shape[:2]
+    at = (np.arange(width_px) + 0.5) / width_px * (n_columns - 1)
+    column = np.minimum(at.astype(np.int64), n_columns - 2)
+    share = (at - column).astype(np.float32)[:, None]
+    nodes = change.reshape(n_rows, n_columns, 9)
+    lines = (1 - share) * nodes[:, column] + share * nodes[:, column + 1]
+    return np.ascontiguousarray(lines.transpose(0, 2, 1), dtype=np.float32)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -143,40 +158,45 @@ def _gradients(
         gx[0] = 0
 
 
-@njit(cache=True, nogil=True)
+# numpy's way with divisions by zero: Python's check of each keeps a loop from vectors.
+@njit(cache=True, nogil=True, error_model="numpy")
 def _contact_row(
-    height_mm: NDArray[Any],
-    rest_mm: NDArray[Any],
+    heights_mm: tuple[NDArray[Any], NDArray[Any]],
     gx: NDArray[Any],
     gy: NDArray[Any],
-    nodes: NDArray[Any],
-    column: NDArray[Any],
-    across: NDArray[Any],
-    depth_mm: float,
-    target: NDArray[Any],
+    contact: tuple[NDArray[Any], float],
+    place: tuple[int, Any, int],
+    added: NDArray[Any],
 ) -> None:
-    """Grey levels (3 · width,) that the contact itself adds to a row of pixels.
+    """Grey levels that the contact itself adds to a row of pixels, into ``added`` (5, width).
 
-    ``nodes`` (n_columns · 12,) are the contact's nodes at this row.
+    R, G and B, 0 without contact; the cosine of the slope; and the share of what shows. The row's
+    ``heights_mm`` are at rest and now, ``contact`` is its ``contact_lines`` and the depth at which
+    half of it shows; ``place`` is the last line above the row, the share of the way to the next and
+    the first column.
     """
-    one, full, zero = np.float32(1), np.float32(depth_mm), np.float32(0)
-    target[: 3 * gx.shape[0]] = zero
+    (rest, height), (lines, full_mm) = heights_mm, contact
+    row, down, left = place
+    right = left + gx.shape[0]
+    one, full, zero = np.float32(1), np.float32(full_mm), np.float32(0)
+    cosine, share = added[3], added[4]
     for k in range(gx.shape[0]):
-        depth = rest_mm[k] - height_mm[k]
-        if depth > zero:
-            x, y = gx[k], gy[k]
-            cosine = one / np.sqrt(one + x * x + y * y)
-            share = depth / (depth + full)
-            x, y = x * cosine, y * cosine
-            right = across[k]
-            left = one - right
-            i = 3 * _LANES * column[k]
-            j = i + 3 * _LANES
-            for c in range(3):
-                target[3 * k + c] = share * (
-                    left * (nodes[i + c] + x * nodes[i + c + 4] + y * nodes[i + c + 8])
-                    + right * (nodes[j + c] + x * nodes[j + c + 4] + y * nodes[j + c + 8])
-                )
+        depth = max(rest[k] - height[k], zero)
+        share[k] = depth / (depth + full)
+    for k in range(gx.shape[0]):
+        cosine[k] = one / np.sqrt(one + gx[k] * gx[k] + gy[k] * gy[k])
+    for c in range(3):
+        out = added[c]
+        above, below = lines[row, c, left:right], lines[row + 1, c, left:right]
+        for k in range(gx.shape[0]):
+            out[k] = above[k] + down * (below[k] - above[k])
+        above, below = lines[row, 3 + c, left:right], lines[row + 1, 3 + c, left:right]
+        for k in range(gx.shape[0]):
+            out[k] += gx[k] * cosine[k] * (above[k] + down * (below[k] - above[k]))
+        above, below = lines[row, 6 + c, left:right], lines[row + 1, 6 + c, left:right]
+        for k in range(gx.shape[0]):
+            out[k] += gy[k] * cosine[k] * (above[k] + down * (below[k] - above[k]))
+            out[k] *= share[k]
 
 
 @njit(cache=True, nogil=True)
@@ -382,8 +402,7 @@ def shade_response(
     offset, columns = np.empty(widest, np.int32), np.empty(widest, np.int32)
     shares = np.empty(widest, np.float32)
     change = np.empty(3 * widest + 1, np.float32)
-    in_contact = np.empty(3 * widest, np.float32)
-    here_in_contact = np.empty(contact.shape[1], np.float32)
+    added = np.zeros((5, widest), np.float32)
     per_slope, per_direction = (n_slope - 1) / max_slope_rad, n_direction / (2 * math.pi)
     one = np.float32(1)
     for k in range(widest):
@@ -400,21 +419,11 @@ def shade_response(
         at = (r + 0.5) / image.shape[0] * (n_rows - 1)
         row = min(int(at), n_rows - 2)
         down = np.float32(at - row)
-        for k in range(here_in_contact.shape[0]):
-            above, below = contact[row, k], contact[row + 1, k]
-            here_in_contact[k] = above + down * (below - above)
         _gradients(height_mm, r, spans[r - top], mm_per_px, direction, slope)
-        _contact_row(
-            height_mm[r, left:right],
-            rest_mm[r, left:right],
-            direction,
-            slope,
-            here_in_contact,
-            column,
-            across,
-            contact_depth_mm,
-            in_contact,
-        )
+        if contact.shape[0]:
+            heights_mm = rest_mm[r, left:right], height_mm[r, left:right]
+            lines = contact, contact_depth_mm
+            _contact_row(heights_mm, direction, slope, lines, (row, down, left), added)
         _to_coordinates(direction, slope, per_slope, per_direction)
         _place_in_table(slope, direction, shape, True, _LANES, offset)
         for k in range(width):
@@ -423,7 +432,7 @@ def shade_response(
             w11 = p * q
             w10, w01 = p - w11, q - w11
             w00 = one - p - w01
-            above, beside = here + to_slope, here + to_column
+            steeper, beside = here + to_slope, here + to_column
             both = beside + to_slope
             d00, d01, d10, d11 = down * w00, down * w01, down * w10, down * w11
             blend_places(  # type: ignore[call-arg]  # numba passes the typing context itself
@@ -431,11 +440,11 @@ def shade_response(
                 (
                     here,
                     beside,
-                    above,
+                    steeper,
                     both,
                     here + to_row,
                     beside + to_row,
-                    above + to_row,
+                    steeper + to_row,
                     both + to_row,
                 ),
                 (w00 - d00, w01 - d01, w10 - d10, w11 - d11, d00, d01, d10, d11),
@@ -446,7 +455,11 @@ def shade_response(
         image_row = image[r, left:right].reshape(-1)
         background_row = background[r, left:right].reshape(-1)
         for k in range(3 * width):
-            image_row[k] = background_row[k] + change[k] + in_contact[k]
+            image_row[k] = background_row[k] + change[k]
+        if contact.shape[0]:
+            for k in range(width):
+                for c in range(3):
+                    image_row[3 * k + c] += added[c, k]
 
 
 @njit(cache=True, nogil=True)

@@ -7,9 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.compiled import njit
-
-Window = tuple[int, int, int, int]
-"""Half-open rectangle of pixels: top, bottom, left, right."""
+from tacgen.core.types import Window
 
 COARSEST = 4  # the largest number of pixels, along a side, that a wide Gaussian averages into one
 

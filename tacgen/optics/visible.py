@@ -26,14 +26,17 @@ VISIBLE = VisibleRules()
 
 
 @njit(cache=True, nogil=True)
-def _count_changed(rgb: NDArray[np.uint8], at_rest: NDArray[np.uint8], limit: float) -> int:
+def _count_changed(rgb: NDArray[np.uint8], at_rest: NDArray[np.uint8], limit: np.int32) -> int:
     count = 0
     for r in range(rgb.shape[0]):
+        row, rest = rgb[r].reshape(-1), at_rest[r].reshape(-1)
+        in_row = 0
         for c in range(rgb.shape[1]):
-            for k in range(3):
-                if abs(np.int32(rgb[r, c, k]) - np.int32(at_rest[r, c, k])) > limit:
-                    count += 1
-                    break
+            red = abs(np.int32(row[3 * c]) - np.int32(rest[3 * c]))
+            green = abs(np.int32(row[3 * c + 1]) - np.int32(rest[3 * c + 1]))
+            blue = abs(np.int32(row[3 * c + 2]) - np.int32(rest[3 * c + 2]))
+            in_row += 1 if max(red, green, blue) > limit else 0
+        count += in_row
     return count
 
 
@@ -46,4 +49,4 @@ def visible_share(
     ``VISIBLE.contact_share`` and more: it shows a contact.
     """
     limit = max(VISIBLE.change_grey, VISIBLE.noise_sigmas * noise_grey)
-    return float(_count_changed(rgb, at_rest, limit) / rgb[..., 0].size)
+    return float(_count_changed(rgb, at_rest, np.int32(limit)) / rgb[..., 0].size)

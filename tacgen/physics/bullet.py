@@ -2,20 +2,21 @@
 
 from collections.abc import Mapping, Sequence
 
+from tacgen.core.engine_contacts import ContactPoint, bullet_points
 from tacgen.core.records import PADS, GraspObject, Mesh
 from tacgen.core.types import M_PER_MM, FloatArray, quaternion_from_rotation
 from tacgen.physics import engine
-from tacgen.physics.engine import PALM, TABLE, ContactPoint, Link, Place, Touch, Vector
+from tacgen.physics.engine import PALM, TABLE, Link, Place, Touch, Vector
 from tacgen.physics.gripper import GripperSpec, outline_of, touches_as_sphere
 from tacgen.physics.robots import RobotSpec
 from tacgen.physics.settings import PhysicsSettings
+from tacgen.physics.standing import NEAR_TABLE_M
 from tacgen.physics.world import (
     HULL_MARGIN_MM,
     BulletLink,
     Collides,
     ObjectBody,
     World,
-    contact_points,
     link_arguments,
 )
 
@@ -84,13 +85,13 @@ class BulletEngine(World):
             for number, link in enumerate(links)
         ]
 
-    def contacts(self) -> tuple[ContactPoint, ...]:
-        """All contact points of the last step on the object."""
-        parts = self._parts
-        return contact_points(
+    def contacts(self) -> list[ContactPoint[str]]:
+        """All contact points of the last step on the object, by the name of what touches it."""
+        parts, touched = self._parts, self._object
+        return bullet_points(
             self.bullet.getContactPoints(),
-            self._object,
-            lambda body, link: parts.get((body, link), TABLE),
+            lambda one, other: parts.get(other, TABLE) if one[0] == touched else None,
+            near_m=NEAR_TABLE_M,
         )
 
     def distances(self, limit_m: float) -> list[tuple[str, float]]:

@@ -11,11 +11,12 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.engine_contacts import ContactPoint
 from tacgen.core.records import PADS, ContactFrame, frozen_array
-from tacgen.core.types import MM_PER_M, FloatArray, Pose, inverse, pose, rotation_of
-from tacgen.physics.engine import TABLE, ContactPoint, Touch
+from tacgen.core.types import MM_PER_M, FloatArray, Pose, cross, inverse, pose, rotation_of
+from tacgen.physics.engine import TABLE, Touch
 from tacgen.physics.gripper import Pad
-from tacgen.physics.standing import NEAR_TABLE_M, PadLoad, least_shear, outermost
+from tacgen.physics.standing import NEAR_TABLE_M, PadLoad, Table, least_shear, outermost
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +37,7 @@ class Placement:
 class Snapshot(Placement):
     """All that is kept of one step: nothing is computed while the simulation runs."""
 
-    contacts: tuple[ContactPoint, ...]
+    contacts: Sequence[ContactPoint[str]]
     object_angular_velocity: tuple[float, ...]
     pad_distance_m: tuple[float, float]
 
@@ -60,7 +61,7 @@ class Contacts:
         return Contacts(*(getattr(self, column.name)[keep] for column in fields(self)))
 
 
-def contacts_of(points: Sequence[ContactPoint]) -> Contacts:
+def contacts_of(points: Sequence[ContactPoint[str]]) -> Contacts:
     """The points as arrays."""
     rows = [(*p.point_m, *p.normal, p.normal_force_n, *p.force_n) for p in points]
     table = np.array(rows, dtype=np.float64).reshape(-1, 10)
@@ -219,7 +220,7 @@ def _pad_loads(window: Sequence[Snapshot], bodies: Bodies) -> dict[str, PadLoad]
         normal_n = float(own.normal_force_n.sum())
         if normal_n > 0:
             center_m = own.normal_force_n @ own.point_m / normal_n
-            moment = np.cross(own.point_m - center_m, own.force_n).sum(axis=0)
+            moment = cross(own.point_m - center_m, own.force_n).sum(axis=0)
             loads[pad] = PadLoad(
                 center_m=center_m,
                 normal=own.normal_force_n @ own.normal / normal_n,
@@ -228,15 +229,13 @@ def _pad_loads(window: Sequence[Snapshot], bodies: Bodies) -> dict[str, PadLoad]
             )
     touched = [point.point_m for point in last.contacts if point.part == TABLE]
     if loads and touched and last.step < bodies.lift_step:
-        table, frame = contacts.of(TABLE), object_pose(last, bodies)
+        pushes, frame = contacts.of(TABLE), object_pose(last, bodies)
         # An engine need not name all the corners on which an object stands.
         places_m = bodies.vertices_m @ frame[:3, :3].T + frame[:3, 3]
         near = places_m[:, 2] < min(z for _, _, z in touched) + NEAR_TABLE_M
         corners_m = outermost(np.concatenate([touched, places_m[near]]), closing_axis)
-        shared = least_shear(
-            list(loads.values()), closing_axis, bodies.pad_friction,
-            corners_m, table.point_m, table.force_n, bodies.table_friction,
-        )  # fmt: skip
+        table = Table(bodies.table_friction, corners_m, pushes.point_m, pushes.force_n)
+        shared = least_shear(list(loads.values()), closing_axis, bodies.pad_friction, table)
         loads = dict(zip(loads, shared, strict=True))
     return loads
 
@@ -258,15 +257,16 @@ def _spinning_moments_n_m(
     last = window[-1]
     axis = gripper_pose(last)[:3, 0]
     center = np.array(last.object_position_m)
-    normals = {pad: float(contacts.of(pad).normal_force_n.sum()) for pad in bodies.pads}
+    pushes_n = contacts.normal_force_n
+    normals = {pad: float(pushes_n[contacts.part == pad].sum()) for pad in bodies.pads}
     total = sum(normals.values())
     if total <= 0:
         return dict.fromkeys(normals, 0.0)
-    reported = np.cross(contacts.point_m - center, contacts.force_n).sum(axis=0)
+    reported = cross(contacts.point_m - center, contacts.force_n).sum(axis=0)
     rotation = rotation_of(last.object_quaternion)
     inertia = rotation @ np.diag(bodies.principal_moments_kg_m2) @ rotation.T
     omega = np.array(last.object_angular_velocity)
-    needed = np.cross(omega, inertia @ omega)
+    needed = cross(omega, inertia @ omega)
     if len(window) > 1:
         span_s = (last.step - window[0].step) * bodies.time_step_s
         needed += inertia @ (omega - np.array(window[0].object_angular_velocity)) / span_s

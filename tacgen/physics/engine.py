@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol, TypeAlias
 
+from tacgen.core.engine_contacts import ContactPoint
 from tacgen.core.records import GraspObject, Mesh
 from tacgen.core.types import FloatArray, Pose
 from tacgen.physics.settings import PhysicsSettings
@@ -14,20 +15,6 @@ Place: TypeAlias = tuple[Vector, Vector]
 
 TABLE, PALM = "table", "palm"
 """What can touch the object beside the pads, which have their own names, and the fingers."""
-
-
-class ContactPoint(NamedTuple):
-    """A point at which something touches the object, in world axes.
-
-    ``part`` is what touches it; ``normal`` points into the object; ``force_n`` is the whole force
-    on the object, friction included.
-    """
-
-    part: str
-    point_m: Vector
-    normal: Vector
-    normal_force_n: float
-    force_n: Vector
 
 
 class Touch(NamedTuple):
@@ -178,8 +165,8 @@ class Engine(Protocol):
     def step(self, count: int) -> None:
         """Advance by ``count`` time steps."""
 
-    def contacts(self) -> tuple[ContactPoint, ...]:
-        """All contact points of the last step on the object."""
+    def contacts(self) -> list[ContactPoint[str]]:
+        """All contact points of the last step on the object, by the name of what touches it."""
 
     def distances(self, limit_m: float) -> list[tuple[str, float]]:
         """Parts of the gripper and how near they are to the object, within ``limit_m``.

@@ -3,7 +3,7 @@
 import math
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import get_args
 
 import numpy as np
@@ -70,6 +70,23 @@ PatchOf = Callable[[ContactFrame], ContactPatch]
 """The patch in which a gel presses on the object at a pad's pose and normal force."""
 
 
+@dataclass(frozen=True, slots=True)
+class GelModel:
+    """What a grasp has to know of the pads' gels.
+
+    The moment that a pad holds about its normal follows from the patch that ``patch_of`` finds at
+    the moment of grasp; without it from that of a flat face on the pad's dome and a gel of the
+    published k_n. An object's own ``spinning_friction_mm`` replaces either. With ``keeps_past``
+    each frame has the load before it, for a gel that remembers it.
+    """
+
+    patch_of: PatchOf | None = None
+    keeps_past: bool = False
+
+
+FLAT_FACE = GelModel()
+
+
 def _pybullet(robot: RobotSpec) -> Engine:
     from tacgen.physics import bullet  # an engine that is not used need not be installed
 
@@ -124,17 +141,11 @@ def run_grasp(
     settings: PhysicsSettings,
     *,
     frames: FrameRequest,
-    patch_of: PatchOf | None = None,
-    keeps_past: bool = False,
+    gel: GelModel = FLAT_FACE,
 ) -> GraspTrace:
     """Simulate one grasp of ``obj`` as ``config`` asks; frames in the gel frame (mm, N).
 
     It is a ``StartedGrasp`` and its lift.
-
-    The moment that a pad holds about its normal follows from the patch that ``patch_of`` finds at
-    the moment of grasp; without it from that of a flat face on the pad's dome and a gel of the
-    published k_n. An object's own ``spinning_friction_mm`` replaces either. With ``keeps_past``
-    each frame has the load before it, for a gel that remembers it.
 
     A grasp that cannot be executed has the status ``toppled`` (the object does not stand as its
     rest pose says), ``unreachable`` or ``no_contact``, a reason, the label −1 and no frames.
@@ -142,10 +153,7 @@ def run_grasp(
     Raises ``PhysicsError`` if the force is not one the gripper can be asked for, or the simulator
     has another engine than ``settings``.
     """
-    started = StartedGrasp(
-        simulator, obj, config, settings, frames=frames, patch_of=patch_of, keeps_past=keeps_past
-    )
-    return started.lift()
+    return StartedGrasp(simulator, obj, config, settings, frames=frames, gel=gel).lift()
 
 
 class StartedGrasp:
@@ -162,8 +170,7 @@ class StartedGrasp:
         settings: PhysicsSettings,
         *,
         frames: FrameRequest,
-        patch_of: PatchOf | None = None,
-        keeps_past: bool = False,
+        gel: GelModel = FLAT_FACE,
     ) -> None:
         if simulator.engine != settings.engine:
             msg = (
@@ -178,12 +185,11 @@ class StartedGrasp:
         if problem:
             msg = f"grasp {config.index} of {config.object!r}: force_n {problem}"
             raise PhysicsError(msg)
-        self.keeps_past = keeps_past
         simulator.started += 1
         self._simulator, self._number = simulator, simulator.started
         self._ended: GraspTrace | None = None
         self.obj, self.config, self.settings = obj, config, settings
-        self.patch_of = patch_of
+        self.gel = gel
         self.note = ""
         met, height_mm = obj.collision, config.z_mm + settings.height_offset_mm
         if touches_as_sphere(settings.pad_dome_radius_mm):
@@ -227,7 +233,7 @@ class StartedGrasp:
         self.recorder = Recorder(
             self.world, self.robot, self.body, stroke_m, settings, self.frame_ends
         )
-        if self.keeps_past:
+        if self.gel.keeps_past:
             self.recorder.keep_past(PAST_STEPS)
         reason = self._close()
         if reason:
@@ -369,7 +375,7 @@ class StartedGrasp:
         declared_mm = self.obj.spinning_friction_mm
         if declared_mm is not None:
             return lambda share: declared_mm * factor * torsion_factor(share)
-        patch = self._flat_face(load) if self.patch_of is None else self.patch_of(load)
+        patch = self._flat_face(load) if self.gel.patch_of is None else self.gel.patch_of(load)
         friction, arm_mm = self.obj.friction * factor, torsion_limit(patch)
         return lambda share: friction * arm_mm(share)
 
@@ -421,7 +427,6 @@ class StartedGrasp:
             config=self.config,
             status="executed",
             label=LABEL_NOT_EXECUTED,
-            failure_mode="",
             frames=outcome.frames_of(windows, self.bodies, pads, past),
             gel_steps=outcome.frames_of(steps, self.bodies, pads, past),
             object_pose=outcome.object_poses_mm(ends, self.bodies),
@@ -462,11 +467,8 @@ def not_executed(
         config=config,
         status=status,
         label=LABEL_NOT_EXECUTED,
-        failure_mode="",
         frames=dict.fromkeys(pads, ()),
         object_pose=frozen_array(np.zeros((0, 7))),
-        rise_mm=0.0,
-        turn_rad=0.0,
         reason=reason,
     )
 

@@ -13,7 +13,7 @@ from tacgen.core.errors import PhysicsError
 from tacgen.core.records import PADS, Sensor
 from tacgen.core.resources import gripper_path
 from tacgen.core.schema import Section, read_yaml, validate
-from tacgen.core.types import M_PER_MM, FloatArray
+from tacgen.core.types import M_PER_MM, FloatArray, cross
 from tacgen.physics.settings import MAX_FORCE_N
 
 PAD_MARGIN_MM = 1.0
@@ -57,7 +57,7 @@ class Pad(Section):
     def gel_axes(self) -> FloatArray:
         """Columns (3, 3) are the gel's x, y and z, which looks at the object."""
         x, y = np.array(self.gel_x, dtype=np.float64), np.array(self.gel_y, dtype=np.float64)
-        return np.stack([x, y, np.cross(x, y)], axis=1)
+        return np.stack([x, y, cross(x, y)], axis=1)
 
     @model_validator(mode="after")
     def _looks_at_the_object(self) -> "Pad":

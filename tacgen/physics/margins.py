@@ -8,7 +8,13 @@ import numpy as np
 
 from tacgen.core.compiled import njit
 from tacgen.core.records import ContactPatch, SlipMargin, frozen_array
-from tacgen.core.types import MM_PER_M, PUBLISHED_K_N_MM3_PER_N, STANDARD_GRAVITY_M_S2, FloatArray
+from tacgen.core.types import (
+    MM_PER_M,
+    PUBLISHED_K_N_MM3_PER_N,
+    STANDARD_GRAVITY_M_S2,
+    FloatArray,
+    cross,
+)
 from tacgen.physics.contacts import Contacts
 
 TorsionLimit = Callable[[float], float]
@@ -80,11 +86,6 @@ def dome_stiffness_n_mm2(dome_radius_mm: float) -> float:
     return STIFFER_THAN_GEL * np.pi * dome_radius_mm / PUBLISHED_K_N_MM3_PER_N
 
 
-def torsion_arm_mm(patch: ContactPatch, friction_share: float = 0.0) -> float:
-    """``torsion_limit`` of a patch at one share of its friction, mm."""
-    return torsion_limit(patch)(friction_share)
-
-
 def torsion_limit(patch: ContactPatch) -> TorsionLimit:
     """Largest moment of a sliding patch about its normal, over friction times normal force, mm.
 
@@ -121,29 +122,27 @@ def _mean_distances(points: FloatArray, share: FloatArray, x: FloatArray) -> Flo
 
 
 def grasp_capacity(
-    pads: Sequence[Contacts],
+    pressing: Sequence[tuple[Contacts, TorsionLimit]],
     *,
     closing_axis: FloatArray,
     center_of_mass_m: FloatArray,
-    mass_kg: float,
+    weight_n: float,
     friction: float,
-    torsion: Sequence[TorsionLimit],
     success_turn_rad: float,
-    lift_acceleration_m_s2: float = 0.0,
 ) -> Capacity:
-    """What ``pads``, by the contacts of each, can hold once the table is gone, world axes.
+    """What pads, by the contacts of each and its torsion limit, can hold once the table is gone.
 
-    The load is the weight and what the lift's acceleration adds to it. Tangential is the part of
-    it across ``closing_axis`` that the contact normals do not carry; the moment is that of load and
-    normal forces about the axis through the pads' centres of pressure. A pad's moment is that of
-    its ``torsion``, or of its contact points' friction about their own centre where that is larger.
+    In world axes. ``weight_n`` is with what the lift's acceleration adds to it. Tangential is the
+    part of it across ``closing_axis`` that the contact normals do not carry; the moment is that of
+    load and normal forces about the axis through the pads' centres of pressure. A pad's moment is
+    that of its limit, or of its contact points' friction about their own centre if that is larger.
 
     An object whose moment is not held swings, and dry friction stops it once the moment's mean over
     the turn is the limit: a mass that hangs below the pads is let go and caught again. That is of
     an object let go at once; one that the table lets down slowly turns less, down to half as far.
     """
     up = np.array([0.0, 0.0, 1.0])
-    weight_n = mass_kg * (STANDARD_GRAVITY_M_S2 + lift_acceleration_m_s2)
+    pads = [pad for pad, _ in pressing]
     forces = np.concatenate([pad.normal_force_n for pad in pads])
     if forces.sum() <= 0:
         return Capacity(0.0, weight_n, 0.0, 0.0, 0.0, 0.0, (0.0,) * len(pads))
@@ -160,13 +159,13 @@ def grasp_capacity(
 
     center = (forces @ points) / total_n
     lever = center_of_mass_m - center
-    moment = np.cross(lever, -weight_n * up) + np.cross(points - center, pushes).sum(axis=0)
+    moment = cross(lever, -weight_n * up) + cross(points - center, pushes).sum(axis=0)
     along_n_m = float(moment @ closing_axis)
     # The mean over the turn is the moment half-way, where a mass below the pads has come nearer.
     above_m = lever[2] - closing_axis[2] * (lever @ closing_axis)
     change_n_m = success_turn_rad / 2 * weight_n * min(0.0, float(above_m))
     torsion_n_mm, whole_n_mm, spinning_mm = 0.0, 0.0, []
-    for pad, limit in zip(pads, torsion, strict=True):
+    for pad, limit in pressing:
         normal_n = float(pad.normal_force_n.sum())
         if normal_n <= 0:
             spinning_mm.append(0.0)

@@ -134,21 +134,20 @@ def capacity_of(
     last = grasped[-1]
     closing_axis = gripper_pose(last)[:3, 0]
     acceleration_m_s2 = settings.lift_acceleration_mm_s2 / MM_PER_M
-    carried_n = obj.mass_kg * (STANDARD_GRAVITY_M_S2 + acceleration_m_s2) / 2
+    weight_n = obj.mass_kg * (STANDARD_GRAVITY_M_S2 + acceleration_m_s2)
     stiffness_n_m2 = dome_stiffness_n_mm2(settings.pad_dome_radius_mm) * MM_PER_M**2
     pads = []
     for pad in bodies.pads:
         force_n = abs(float(contacts.of(pad).force_n.sum(axis=0) @ closing_axis))
-        pads.append(pressed(pad, touches[pad], closing_axis, force_n, stiffness_n_m2, carried_n))
+        own = pressed(pad, touches[pad], closing_axis, force_n, stiffness_n_m2, weight_n / 2)
+        pads.append((own, torsion[pad]))
     return grasp_capacity(
         pads,
         closing_axis=closing_axis,
         center_of_mass_m=np.array(last.object_position_m),
-        mass_kg=obj.mass_kg,
+        weight_n=weight_n,
         friction=obj.friction * settings.pad_friction,
-        torsion=[torsion[pad] for pad in bodies.pads],
         success_turn_rad=settings.success_turn_rad,
-        lift_acceleration_m_s2=acceleration_m_s2,
     )
 
 

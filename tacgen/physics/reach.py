@@ -7,7 +7,7 @@ import numpy as np
 
 from tacgen.core.records import GraspConfig, Mesh
 from tacgen.core.types import FloatArray
-from tacgen.physics.world import ball_of
+from tacgen.physics.world import ball_of, mesh_of_hull
 
 SLACK_MM = 1.0
 """Around a pad's outline: the largest turn of a success, 0.1 rad, moves its rim by as much."""
@@ -59,6 +59,4 @@ def _cut(points_mm: FloatArray, normals: FloatArray, reach_mm: FloatArray) -> li
         share = beyond_mm[edges[:, :1]] / (beyond_mm[edges[:, :1]] - beyond_mm[edges[:, 1:]])
         inside = hull.vertices[beyond_mm[hull.vertices] <= 0]
         hull = ConvexHull(np.concatenate([hull.points[inside], near + share * (far - near)]))
-    numbers = np.full(len(hull.points), -1, dtype=np.int32)
-    numbers[hull.vertices] = np.arange(len(hull.vertices), dtype=np.int32)
-    return [Mesh(hull.points[hull.vertices], numbers[hull.simplices])]
+    return [mesh_of_hull(hull)]

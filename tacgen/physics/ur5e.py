@@ -5,7 +5,7 @@ Source: Universal Robots, "DH Parameters for calculations of kinematics and dyna
 
 import numpy as np
 
-from tacgen.core.types import FloatArray, Pose, pose, twice_sine
+from tacgen.core.types import FloatArray, Pose, cross, pose, twice_sine
 
 A_M = (0.0, -0.425, -0.3922, 0.0, 0.0, 0.0)  # Universal Robots, DH parameters of the UR5e
 D_M = (0.1625, 0.0, 0.0, 0.1333, 0.0997, 0.0996)  # the same source
@@ -69,7 +69,7 @@ def inverse_kinematics(target: Pose, seed_rad: FloatArray) -> FloatArray | None:
             return joints if np.all(np.abs(joints) <= JOINT_LIMIT_RAD) else None
         axes = np.stack([frame[:3, 2] for frame in frames[:-1]])
         arms = flange[:3, 3] - np.stack([frame[:3, 3] for frame in frames[:-1]])
-        jacobian = np.concatenate([np.cross(axes, arms), axes], axis=1).T
+        jacobian = np.concatenate([cross(axes, arms), axes], axis=1).T
         damped = jacobian @ jacobian.T + _DAMPING**2 * np.eye(6)
         step = jacobian.T @ np.linalg.solve(damped, error)
         largest = float(np.abs(step).max())

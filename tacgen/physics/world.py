@@ -3,7 +3,7 @@
 import hashlib
 import operator
 import tempfile
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntFlag
 from functools import partial
@@ -22,10 +22,9 @@ from tacgen.core.types import (
     pose,
     quaternion_from_rotation,
 )
-from tacgen.physics.engine import ContactPoint, Place, Vector
+from tacgen.physics.engine import Place, Vector
 from tacgen.physics.pybullet_import import load_bullet
 from tacgen.physics.settings import PhysicsSettings
-from tacgen.physics.standing import NEAR_TABLE_M
 
 TABLE_HALF_EXTENTS_M = (0.6, 0.6, 0.05)
 """Larger than any grasp's reach; thick enough that nothing falls through in a step."""
@@ -212,41 +211,6 @@ class World:
             self.bullet.changeDynamics(body, link, collisionMargin=0.0)
 
 
-def contact_points(
-    raw: Iterable[Sequence[Any]], body: int, part_of: Callable[[int, int], str]
-) -> tuple[ContactPoint, ...]:
-    """Contact points on ``body``, from unfiltered ``getContactPoints``.
-
-    ``part_of`` names what touches it by body and link; those that it calls "" are left out, and
-    points that are only near.
-
-    Unfiltered matters: with a filter PyBullet may swap the two bodies and turn the normal, but
-    not the friction, whose sign is then lost. As it comes, both act on the first body.
-    """
-    points = []
-    for _, first, second, first_link, second_link, on_first, on_second, *acting in raw:
-        if first == body:
-            sign, point, part = 1.0, on_first, part_of(second, second_link)
-        elif second == body:
-            sign, point, part = -1.0, on_second, part_of(first, first_link)
-        else:
-            continue
-        if not part:
-            continue
-        (x, y, z), gap_m, push_n, along_n, (ax, ay, az), across_n, (bx, by, bz) = acting
-        if push_n == 0 and gap_m > NEAR_TABLE_M:
-            continue
-        normal = sign * x, sign * y, sign * z
-        friction_n = (
-            sign * (along_n * ax + across_n * bx),
-            sign * (along_n * ay + across_n * by),
-            sign * (along_n * az + across_n * bz),
-        )
-        force_n = tuple(push_n * n + f for n, f in zip(normal, friction_n, strict=True))
-        points.append(ContactPoint(part, point, normal, push_n, force_n))
-    return tuple(points)
-
-
 def ball_of(part: Mesh) -> tuple[FloatArray, float] | None:
     """Centre (3,) and radius, mm, of the ball that a convex part stands for, if it does."""
     points = part.vertices_mm
@@ -266,11 +230,14 @@ def ball_of(part: Mesh) -> tuple[FloatArray, float] | None:
 def _hull_around(parts: Sequence[Mesh]) -> Mesh:
     from scipy.spatial import ConvexHull  # slow to import, and most objects do not need it
 
-    vertices_mm = np.concatenate([part.vertices_mm for part in parts])
-    hull = ConvexHull(vertices_mm)
-    renumbered = np.full(len(vertices_mm), -1, dtype=np.int32)
-    renumbered[hull.vertices] = np.arange(len(hull.vertices), dtype=np.int32)
-    return Mesh(vertices_mm[hull.vertices], renumbered[hull.simplices])
+    return mesh_of_hull(ConvexHull(np.concatenate([part.vertices_mm for part in parts])))
+
+
+def mesh_of_hull(hull: Any) -> Mesh:
+    """The mesh of scipy's ``ConvexHull``; its faces are not turned the same way."""
+    numbers = np.full(len(hull.points), -1, dtype=np.int32)
+    numbers[hull.vertices] = np.arange(len(hull.vertices), dtype=np.int32)
+    return Mesh(hull.points[hull.vertices], numbers[hull.simplices])
 
 
 def _wavefront(parts: Sequence[Mesh]) -> str:

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from tacgen.core.errors import PressError
 from tacgen.core.types import FloatArray
 from tacgen.optics.dots import coarse, printed_dots
-from tacgen.optics.same_view import alignment, apart_grey, other_view
+from tacgen.optics.drift import apart_grey
+from tacgen.optics.same_view import alignment, other_view
 from tacgen.presses.circles import Circle, change_in, drift_free_change, find_circle
 from tacgen.presses.press_images import PressImages
 from tacgen.presses.rules import IMAGES

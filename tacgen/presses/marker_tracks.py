@@ -12,16 +12,16 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tacgen.contact.gel import px_to_mm
-from tacgen.contact.shear import marker_grid_mm
+from tacgen.contact.shear import marker_grid_mm, turned
 from tacgen.core.errors import PressError
 from tacgen.core.records import Sensor
+from tacgen.core.sensors import no_markers
 from tacgen.core.types import BoolArray, FloatArray, IntArray
 from tacgen.optics.dots import LEAST_SEEN, dots_at_rest, follow
 from tacgen.presses.lab_table import numeric_columns, read_table
 from tacgen.presses.press_folder import PressFolder
 from tacgen.presses.press_log import PressLog
 from tacgen.presses.rules import LOG
-from tacgen.sensor.description import no_markers
 
 AT_REST = 0.02  # of a press's largest force: below it, its dots are where they rest
 AXES = {
@@ -286,12 +286,6 @@ def rigid_fit(places_mm: FloatArray, grid_mm: FloatArray) -> tuple[float, FloatA
     a = a - a.mean(axis=0)
     turn = np.arctan2((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum(), (a * b).sum())
     return float(turn), places_mm.mean(axis=0) - turned(grid_mm, float(turn)).mean(axis=0)
-
-
-def turned(grid_mm: FloatArray, turn_rad: float) -> FloatArray:
-    """Places (n, 2) turned about the gel's origin, which is the grid's middle."""
-    cos, sin = np.cos(turn_rad), np.sin(turn_rad)
-    return np.asarray(grid_mm @ np.array([[cos, sin], [-sin, cos]]))
 
 
 def _on_grid(rest_mm: FloatArray, grid: FloatArray, pitch_mm: float, path: Path) -> IntArray:

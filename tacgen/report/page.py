@@ -110,24 +110,23 @@ def write_page(
     sections: Sequence[PageSection] = (),
     *,
     summary: str = "",
-    verdict: str = "",
     template: str = "page.html",
     made_by: str = "",
     **values: Any,
 ) -> None:
     """Write the page to ``path``, whole or not at all, and print its path; it needs no network.
 
-    ``summary`` is the result in a sentence or two; ``verdict`` colours it: ``sufficient`` and
-    ``unexplained`` stand out. A ``template`` that extends ``page.html`` makes its own sections of
-    ``values``. ``made_by`` is the command; what it did not make is kept: the command asks
-    ``refuse_other_page`` itself before it computes.
+    ``summary`` is the result in a sentence or two; a ``verdict`` among the ``values`` colours it:
+    ``sufficient`` and ``unexplained`` stand out. A ``template`` that extends ``page.html`` makes
+    its own sections of them. ``made_by`` is the command; what it did not make is kept: the command
+    asks ``refuse_other_page`` itself before it computes.
 
     Raises ``TacgenError`` if ``path`` is there, and not of this command.
     """
     refuse_other_page(path, made_by)
     page = templates().get_template(template)
-    head = {"title": title, "summary": typeset(summary), "verdict": verdict}
-    head["mark"] = Markup(page_mark(made_by))
+    mark = Markup(page_mark(made_by))
+    head = {"title": title, "summary": typeset(summary), "mark": mark}
     write_text(path, page.render(**head, sections=sections, **values))
     print_status(f"page: {path}")
 

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from tacgen.contact import gel_map_mm
 from tacgen.contact.ball import GelLattice
+from tacgen.contact.gel_response import GelLoad
+from tacgen.contact.gel_shear import GelShear
 from tacgen.contact.shear import dilation_mm, marker_grid_mm
 from tacgen.core.files import atomic_path, write_text
 from tacgen.core.images import encode_png
@@ -23,8 +25,6 @@ from tacgen.optics.virtual_sensor import VirtualSensor
 from tacgen.rig.effects import SessionTruth
 from tacgen.rig.rig_recipe import RigRecipe
 from tacgen.rig.schedule import CAMERA, press_rng
-from tacgen.sensor.gel_response import GelLoad
-from tacgen.sensor.gel_shear import GelShear
 
 LAST = "sensor.yaml"  # the last file that is written
 

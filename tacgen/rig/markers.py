@@ -7,12 +7,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from tacgen.contact.ball_shear import STICKS, BallShear
 from tacgen.contact.gel import mm_to_px
-from tacgen.contact.shear import marker_grid_mm
+from tacgen.contact.shear import marker_grid_mm, turned
 from tacgen.core.errors import RecipeError
 from tacgen.core.records import Sensor
-from tacgen.presses.ball_shear import STICKS, BallShear, Place
-from tacgen.presses.marker_tracks import turned
 from tacgen.rig.rig_recipe import RigRecipe
 from tacgen.rig.schedule import MARKERS, press_rng
 
@@ -31,8 +30,7 @@ def marker_tracks(
     gel = BallShear(sensor, given.decay_mm)
     rest = turned(marker_grid_mm(sensor), np.radians(given.grid_turn_deg)) + given.grid_shift_mm
     compliance = recipe.law.k_s_mm_per_n * sensor.markers.pitch_mm**2
-    friction, place = given.friction or STICKS, given.place
-    another = None if place is None else Place(**place.model_dump())
+    friction = given.friction or STICKS
     every = max(1, round(recipe.schedule.rate_hz / given.rate_hz))
     parts = []
     for press in np.unique(columns["trial"]):
@@ -44,7 +42,7 @@ def marker_tracks(
         k_n = recipe.law.k_n_mm3_per_n
         depth = [gel.depth_mm(ball, center, k_n * one) for one in load]
         pressure = [one / k_n for one in depth]
-        strain = gel.strain(rest, pressure, force, friction, another)
+        strain = gel.strain(rest, pressure, force, friction, given.place)
         places = rest + compliance * strain
         places += np.stack([gel.dilation_mm(rest, one) for one in depth])
         rng = press_rng(recipe, int(press), MARKERS)

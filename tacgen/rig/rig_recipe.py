@@ -17,11 +17,12 @@ from pydantic import (
     Tag,
 )
 
+from tacgen.contact.ball_shear import Place
 from tacgen.contact.effects import Where, find_effect
 from tacgen.core.errors import ContactError
 from tacgen.core.schema import KeyPath, Located, Section, YamlSource, load_checked
+from tacgen.core.sensors import SensorByName, SensorChoice, sensor_problems
 from tacgen.core.types import PUBLISHED_K_N_MM3_PER_N
-from tacgen.sensor.description import SensorByName, SensorChoice, sensor_problems
 
 
 def _ordered(values: tuple[float, float]) -> tuple[float, float]:
@@ -164,19 +165,6 @@ class Images(Section):
     """Strength of shadows."""
 
 
-class FrictionPlace(Section):
-    """A round place of the gel with another friction."""
-
-    x_mm: FiniteFloat = 0.0
-    """Its middle along x, gel frame."""
-    y_mm: FiniteFloat = 0.0
-    """Its middle along y, gel frame."""
-    radius_mm: PositiveFloat = 2.0
-    """Its radius."""
-    friction: PositiveFloat = 0.2
-    """Coulomb's coefficient there."""
-
-
 class MarkerTracks(Section):
     """Tracks of the gel's dots, in markers.csv."""
 
@@ -188,7 +176,7 @@ class MarkerTracks(Section):
     """How far the gel's motion reaches beside the contact."""
     friction: PositiveFloat | None = None
     """Coulomb's coefficient, by which the contact slips in part; null: all of it sticks."""
-    place: FrictionPlace | None = None
+    place: Place | None = None
     """A place with another friction."""
     grid_turn_deg: FiniteFloat = 0.0
     """By how much the dots are printed turned, from x to y."""

@@ -12,13 +12,13 @@ from tacgen.contact.law import load_law, save_law
 from tacgen.core.files import atomic_path, refuse_existing, refuse_foreign
 from tacgen.core.progress import print_status
 from tacgen.core.resources import __version__
+from tacgen.core.sensors import load_sensor
 from tacgen.optics.table import load_table
 from tacgen.rig.effects import SessionTruth, true_response
 from tacgen.rig.images import LAST, write_images
 from tacgen.rig.markers import marker_tracks
 from tacgen.rig.rig_recipe import RigRecipe
 from tacgen.rig.schedule import NOISE, press_rng, true_session
-from tacgen.sensor.description import load_sensor
 
 DECIMALS = 6  # below any sensor's resolution
 MARKER_DECIMALS = 3  # of a pixel

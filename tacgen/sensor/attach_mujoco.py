@@ -7,6 +7,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from tacgen.core.engine_contacts import ContactPoint, mujoco_points
 from tacgen.core.errors import SensorError
 from tacgen.core.records import Mesh, Sensor
 from tacgen.core.types import MM_PER_M, FloatArray, pose, rotation_of
@@ -188,26 +189,15 @@ class MujocoContacts(EngineContacts):
                 )
                 raise SensorError(msg)
 
-    def _forces_on_gel(self) -> tuple[FloatArray, FloatArray, FloatArray, list[Part]]:
-        points, wrenches, parts = list[FloatArray](), list[FloatArray](), list[Part]()
-        for k in range(self._data.ncon):
-            contact = self._data.contact[k]
-            if min(contact.geom) < 0:  # of a soft body, which has no geoms
-                continue
-            first, second = (int(self._model.geom_bodyid[g]) for g in contact.geom)
-            if self._body not in (first, second):
-                continue
-            other = first if second == self._body else second
-            if (owner := self._object_of(other, self._given)) is None:
-                continue
-            wrench = np.zeros(6)
-            self._mujoco.mj_contactForce(self._model, self._data, k, wrench)
-            # In the contact's frame, rows of `frame`; it acts on the second geom. With condim 4
-            # and 6 friction also holds the turn about the contact's axes, by a moment.
-            on_second = wrench.reshape(2, 3) @ np.array(contact.frame).reshape(3, 3)
-            wrenches.append(on_second if second == self._body else -on_second)
-            points.append(np.array(contact.pos))
-            parts.append((owner, other))
-        self._refuse_moved(parts)
-        forces_n, moments_n_m = np.array(wrenches).reshape(-1, 2, 3).swapaxes(0, 1)
-        return np.array(points).reshape(-1, 3), forces_n, moments_n_m, parts
+    def _contact_points(self) -> list[ContactPoint[Part]]:
+        points = mujoco_points(self._mujoco, self._model, self._data, self._part_of)
+        self._refuse_moved([point.part for point in points])
+        return points
+
+    def _part_of(self, geom: int, other: int) -> Part | None:
+        """The part of an object that a geom is of; None where the other is not the gel's."""
+        if min(geom, other) < 0:  # of a soft body, which has no geoms
+            return None
+        body, touched = (int(self._model.geom_bodyid[k]) for k in (geom, other))
+        owner = self._object_of(body, self._given) if touched == self._body else None
+        return None if owner is None else (owner, body)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from tacgen.core.engine_contacts import ContactPoint, bullet_points
 from tacgen.core.errors import SensorError
 from tacgen.core.records import Mesh, Sensor
 from tacgen.core.types import MM_PER_M, FloatArray, inverse, pose, rotation_of
@@ -181,7 +182,7 @@ class PyBulletContacts(EngineContacts):
     def _gel_pose_m(self) -> FloatArray:
         return self._part_pose_m((self._body, self._link)) @ self._gel
 
-    def _fresh_contacts(self) -> list[tuple[Part, tuple[Any, ...]]]:
+    def _contact_points(self) -> list[ContactPoint[Part]]:
         """What presses, and its contact points of the last step, with the forces that acted in it.
 
         PyBullet divides the impulse of the last substep by the whole ``fixedTimeStep``, as that is
@@ -194,10 +195,9 @@ class PyBulletContacts(EngineContacts):
         raw = self._bullet.getContactPoints(physicsClientId=self._client)
         known = self._bullet.getPhysicsEngineParameters(physicsClientId=self._client)
         step_s, substeps = float(known["fixedTimeStep"]), max(1, int(known["numSubSteps"]))
-        pressing = [(self._part_of(contact), contact) for contact in raw if contact[9] > 0]
-        touching = [(part, contact) for part, contact in pressing if part is not None]
+        pressing = [one for one in bullet_points(raw, self._part_of) if one.normal_force_n > 0]
         numbers = [(*c[5], *c[6], *c[7], c[8], *(step_s * c[k] for k in (9, 10, 12))) for c in raw]
-        touched = {part for part, _ in touching}
+        touched = {point.part for point in pressing}
         for body in {body for body, _ in touched}:
             self._refuse_soft(body)  # the number may have been a rigid one's
         places = [self._part_pose_m(part) for part in sorted(touched)]
@@ -216,19 +216,18 @@ class PyBulletContacts(EngineContacts):
             raise SensorError(msg)
         factor = now.substeps * step_s / now.step_s
         return [
-            (part, (*c[:9], factor * c[9], factor * c[10], c[11], factor * c[12], *c[13:]))
-            for part, c in touching
-            if part in near
+            point._replace(
+                normal_force_n=factor * point.normal_force_n,
+                force_n=tuple(factor * along_n for along_n in point.force_n),
+            )
+            for point in pressing
+            if point.part in near
         ]
 
-    def _part_of(self, contact: tuple[Any, ...]) -> Part | None:
-        """The part of an object that a contact point lies on; None where it is not of the gel."""
-        sides = (contact[1], contact[3]), (contact[2], contact[4])
-        gel = self._body, self._link
-        for side, other in (sides, sides[::-1]):
-            if other == gel and side != gel and side[0] in self._given:
-                return side
-        return None
+    def _part_of(self, side: Part, other: Part) -> Part | None:
+        """The part of an object that a side is; None where the other is not the gel."""
+        is_gel = other == (self._body, self._link) != side
+        return side if is_gel and side[0] in self._given else None
 
     def _is_near(self, part: Part, step_s: float) -> bool:
         """Whether a part and the gel are as near as pressing bodies are."""
@@ -240,23 +239,6 @@ class PyBulletContacts(EngineContacts):
             physicsClientId=self._client,
         )  # fmt: skip
         return bool(found)
-
-    def _forces_on_gel(self) -> tuple[FloatArray, FloatArray, FloatArray, list[Part]]:
-        gel = self._body, self._link
-        points, forces, parts = list[Any](), list[Any](), list[Part]()
-        for part, raw in self._fresh_contacts():
-            sides = {(raw[1], raw[3]): 1.0, (raw[2], raw[4]): -1.0}
-            # As PyBullet gives them, normal force and friction act on the first.
-            on_gel = sides[gel] * (
-                raw[9] * np.array(raw[7])
-                + raw[10] * np.array(raw[11])
-                + raw[12] * np.array(raw[13])
-            )
-            points.append(raw[5] if sides[part] > 0 else raw[6])
-            forces.append(on_gel)
-            parts.append(part)
-        points_m, forces_n = np.array(points).reshape(-1, 3), np.array(forces).reshape(-1, 3)
-        return points_m, forces_n, np.zeros_like(forces_n), parts  # it tells of no moments
 
 
 def _bullet_shape(

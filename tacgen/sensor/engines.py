@@ -14,11 +14,12 @@ import trimesh
 from numpy.typing import NDArray
 
 from tacgen.contact.gel import gel_size_mm
+from tacgen.contact.indenter import Imprint
 from tacgen.contact.raster import dome_mm
+from tacgen.core.engine_contacts import ContactPoint
 from tacgen.core.errors import SensorError
 from tacgen.core.records import Mesh, Sensor
 from tacgen.core.types import MM_PER_M, BoolArray, FloatArray, inverse
-from tacgen.sensor.tactile_pad import Imprint
 
 SPHERE_SUBDIVISIONS = 6  # 82 k triangles: facets of a ball of 10 mm are then flatter than 1 µm
 TOUCHING_GAP_M = 2e-3
@@ -74,8 +75,11 @@ class EngineContacts(ABC):
             msg = "the sensor knows of no object; call add_object with the body that it touches"
             raise SensorError(msg)
         gel = self._gel_pose_m()
-        points_m, forces_n, moments_n_m, parts = self._forces_on_gel()
-        local_n, twists_n_mm = forces_n @ gel[:3, :3], MM_PER_M * moments_n_m @ gel[:3, 2]
+        points = self._contact_points()
+        rows = [(point.point_m, point.force_n, point.moment_n_m) for point in points]
+        points_m, forces_n, moments_n_m = np.array(rows).reshape(-1, 3, 3).swapaxes(0, 1)
+        # They act on what touches the gel, and the gel is pressed the other way.
+        local_n, twists_n_mm = -forces_n @ gel[:3, :3], -MM_PER_M * moments_n_m @ gel[:3, 2]
         points_mm = MM_PER_M * (points_m - gel[:3, 3]) @ gel[:3, :3]
         pressed_n = np.maximum(-local_n[:, 2], 0.0)
         level, beyond = self._places(points_mm, pressed_n)
@@ -83,7 +87,7 @@ class EngineContacts(ABC):
         used = level & ~beyond if is_over_gel else level
         whole_n = float(pressed_n[level].sum())
         share = float(pressed_n[used].sum()) / whole_n if whole_n > 0 else 1.0
-        touching = sorted({parts[k] for k in np.flatnonzero(used & (pressed_n > 0))})
+        touching = sorted({points[k].part for k in np.flatnonzero(used & (pressed_n > 0)).tolist()})
         pressed_n, local_n, points_mm = pressed_n[used], local_n[used], points_mm[used]
         center_mm = pressed_n @ points_mm[:, :2] / max(float(pressed_n.sum()), 1e-12)
         arms_mm = points_mm[:, :2] - center_mm
@@ -206,11 +210,8 @@ class EngineContacts(ABC):
         """Pose (4, 4) of a part in the world."""
 
     @abstractmethod
-    def _forces_on_gel(self) -> tuple[FloatArray, FloatArray, FloatArray, list[Part]]:
-        """Contact points (n, 3), m; forces and moments on the gel there, N, N m; what presses.
-
-        In world axes.
-        """
+    def _contact_points(self) -> Sequence[ContactPoint[Part]]:
+        """What touches the gel, with the force that acted on it there in the last step."""
 
 
 def solid(kind: str, *size_m: float) -> trimesh.Trimesh:

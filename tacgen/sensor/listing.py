@@ -18,8 +18,8 @@ from tacgen.core.files import atomic_path, refuse_existing, sha256_of
 from tacgen.core.records import Mesh
 from tacgen.core.resources import packaged, sensor_files, sensor_path
 from tacgen.core.safe_io import read_rgb
+from tacgen.core.sensors import load_sensor
 from tacgen.optics.table import LookupTable, load_table
-from tacgen.sensor.description import load_sensor
 from tacgen.sensor.simulated import Sensor
 
 COLUMNS = ("name", "px", "mm_per_px", "dome_mm", "markers", "error_grey", "colours from", "in")

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -14,6 +15,8 @@ from scipy.optimize import brentq, least_squares
 from scipy.spatial import cKDTree
 
 from tacgen.contact.gel import mm_to_px, px_to_mm
+from tacgen.contact.gel_response import LOAD, ONSET_S
+from tacgen.contact.indenter import contact_status
 from tacgen.contact.law import ContactLaw
 from tacgen.contact.shear import marker_grid_mm
 from tacgen.core.errors import SensorError, TableError
@@ -25,15 +28,14 @@ from tacgen.optics.dots import (
     LEAST_SEEN,
     MIN_TRACKED,
     Dots,
+    Spots,
     dots_at_rest,
     dots_in,
     find_spots,
     follow,
 )
 from tacgen.optics.reconstruct import Reconstructor
-from tacgen.sensor.gel_response import LOAD, ONSET_S
 from tacgen.sensor.simulated import Frame, Sensor
-from tacgen.sensor.tactile_pad import contact_status
 
 LEAST_DEPTH_MM = 0.03
 """Shallower than this there is no contact: pictures of a gel at rest reach 0.02 mm by noise."""
@@ -143,6 +145,10 @@ class ImageReader:
             markers = self.sensor.description.markers
             self._pitch_mm = markers.pitch_mm if markers else spacing_mm
 
+    @cached_property
+    def _curve(self) -> NDArray[np.float64]:
+        return normal_curve(self.sensor.law)
+
     def is_of(self, sensor: Sensor, background_rgb: NDArray[np.uint8]) -> bool:
         """Whether it was made from this sensor, with the table that it has now, and background."""
         same = self.sensor is sensor and self._table is sensor.table
@@ -155,7 +161,10 @@ class ImageReader:
         background: another sensor or light, other colours, turned, shifted or cropped otherwise.
         """
         rgb = self._checked(image_rgb, "the image")
-        hidden = None if self._dots is None else dots_in(rgb, self._dots)
+        spots = hidden = None
+        if self._dots is not None:
+            spots = find_spots(rgb)
+            hidden = dots_in(spots, self._dots)
         shape = self._reconstructor.shape_of(rgb, hidden)
         imprint = shape.imprint(LEAST_DEPTH_MM)
         volume_stderr = shape.volume_stderr_mm3(imprint)
@@ -166,12 +175,11 @@ class ImageReader:
             small, volume, volume_stderr = np.zeros_like(small), 0.0, 0.0
         height, width = rgb.shape[:2]
         # The depth keeps its volume: enlarged, it is scaled to the sum that it had.
-        enlarged = cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR)
-        depth: NDArray[np.float64] = np.asarray(enlarged, np.float64)
+        depth = np.asarray(cv2.resize(small, (width, height), interpolation=cv2.INTER_LINEAR))
         pixel_mm2 = self.sensor.table.mm_per_px**2
         depth = depth * (volume / max(float(depth.sum()) * pixel_mm2, 1e-12))
         touched = depth > 0
-        motion, rest, lost = self._motion(rgb)
+        motion, rest, lost = self._motion(spots)
         shear, places, unseen = np.full(2, math.nan), None, ""
         if len(rest):
             places = np.asarray(mm_to_px(rest + motion, *self._scale), np.float64)
@@ -201,7 +209,8 @@ class ImageReader:
             none += " by more than its error" * is_noise
             return replace(reading, message="; ".join((none, *self._reconstructor.doubts)))
         pitch_mm = math.nan if unseen else self._pitch_mm
-        reading = _with_forces(reading, self.sensor.law, self.sensor.table.mm_per_px, pitch_mm)
+        law, mm_per_px = self.sensor.law, self.sensor.table.mm_per_px
+        reading = _with_forces(reading, law, mm_per_px, pitch_mm, self._curve)
         white = float((rgb[touched] == CLIPPED).any(axis=1).mean())
         bright = f"{white:.0%} of the contact is overexposed: expose less, as for the table"
         bright += "; depth and force may be too large or too small"
@@ -230,13 +239,11 @@ class ImageReader:
             replace(dots, places_px=dots.places_px[index]) if len({*index}) == len(grid) else dots
         )
 
-    def _motion(
-        self, rgb: NDArray[np.uint8]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
+    def _motion(self, spots: Spots | None) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
         """Motion of the dots (M, 2), mm, their places at rest, and how many were not seen."""
-        if self._at_rest is None:
+        if self._at_rest is None or spots is None:
             return _no_markers(), _no_markers(), 0
-        motion, seen = follow(self._at_rest, [rgb])
+        motion, seen = follow(self._at_rest, [spots])
         moved_mm = np.asarray(motion[0] * self.sensor.table.mm_per_px, np.float64)
         return (
             moved_mm,
@@ -395,10 +402,17 @@ def reading_line(row: dict[str, Any]) -> str:
     return f"{text}; {row['message']}" if row["message"] else text
 
 
-def _with_forces(reading: Reading, law: ContactLaw, mm_per_px: float, pitch_mm: float) -> Reading:
+def _with_forces(
+    reading: Reading,
+    law: ContactLaw,
+    mm_per_px: float,
+    pitch_mm: float,
+    curve: NDArray[np.float64] | None = None,
+) -> Reading:
     """The load at which a contact law gives a volume and a sum of the dots' motion.
 
     ``pitch_mm`` is the dots' distance; NaN without dots, where the normal force alone is found.
+    ``curve`` is the law's :func:`normal_curve`, where it is known.
     """
     is_depth = law.law == "linear_depth"
     normal = reading.indentation_mm if is_depth else reading.volume_mm3
@@ -416,13 +430,13 @@ def _with_forces(reading: Reading, law: ContactLaw, mm_per_px: float, pitch_mm: 
         response, unknown = np.append(response, motion), np.zeros(0)
         stderr = np.append(stderr, np.hypot(noise, by_k_s))
     message = _taken_as_known(law, LOAD[1 : 1 + len(response)])
-    load, errors = _load_of(law, reading, response, stderr)
+    load, errors = _load_of(law, reading, response, stderr, curve)
     saturated = not np.isfinite(load).all()
     if saturated:
         message = "no load of the contact law makes this imprint: saturated"
         if len(load) > 1:
             unknown = np.full(2, math.nan)
-            load, errors = _load_of(law, reading, response[:1], stderr[:1])
+            load, errors = _load_of(law, reading, response[:1], stderr[:1], curve)
     return replace(
         reading,
         force_n=np.array([*unknown, *load[1:], load[0]]),
@@ -442,12 +456,13 @@ def _load_of(
     reading: Reading,
     response: NDArray[np.float64],
     stderr: NDArray[np.float64],
+    curve: NDArray[np.float64] | None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Load of a response, into the gel and where given along it, and its errors; NaN if none.
 
     Effects with memory are taken at the beginning of the load: one picture has no history.
     """
-    start = _normal_force_n(law, reading)
+    start = _normal_force_n(law, reading, curve)
     load = np.array([start, *(response[1:] / law.k_s_mm_per_n.value)])
     scale = np.maximum(stderr, 1e-6 * np.abs(response).max())
 
@@ -483,27 +498,42 @@ def _response(law: ContactLaw, load: NDArray[np.float64]) -> NDArray[np.float64]
     """What the law makes of a load (1,) or (3,) that has just come on a gel at rest."""
     names = LOAD[1 : 1 + len(load)]
     rest = {"trial": 0.0, "time_s": -ONSET_S, **dict.fromkeys(names, 0.0)}
-    *_, memory = law.advance(rest, {})
+    memory = law.advance(rest, {})[2] if law.effects else {}
     row = {**rest, "time_s": 0.0, **dict(zip(names, load.tolist(), strict=True))}
     normal, motion, _ = law.advance(row, memory)
     return np.array([normal, *motion])[: len(load)]
 
 
-def _normal_force_n(law: ContactLaw, reading: Reading) -> float:
-    """The least force that alone gives a volume, or a depth under TACTO's law; inf if none does."""
+def normal_curve(law: ContactLaw) -> NDArray[np.float64]:
+    """Forces (n, 2), from 0 up, and what the law makes of each alone."""
+    forces = [0.0, *np.geomspace(FIRST_FORCE_N, LARGEST_FORCE_N, FORCES_TRIED).tolist()]
+    return np.array([[force, *_response(law, np.array([force]))] for force in forces])
+
+
+def _normal_force_n(
+    law: ContactLaw, reading: Reading, curve: NDArray[np.float64] | None = None
+) -> float:
+    """The least force that alone gives a volume, or a depth under TACTO's law; inf if none does.
+
+    ``curve`` is the law's :func:`normal_curve`, where it is known.
+    """
     response = reading.indentation_mm if law.law == "linear_depth" else reading.volume_mm3
+    forces, made = (normal_curve(law) if curve is None else curve).T
+    # Beyond the loads that it was fitted to a law may turn back, and give the volume once more.
+    enough = np.flatnonzero(made[1:] >= response)
+    if not len(enough):
+        return math.inf
+    low, high = forces[enough[0] : enough[0] + 2].tolist()
+    # On a chord of the curve, which a law without effects is, nothing is left to search.
+    chord = float(np.interp(response, made[enough[0] : enough[0] + 2], (low, high)))
 
     def excess(force_n: float) -> float:
         return float(_response(law, np.array([force_n]))[0]) - response
 
-    # Beyond the loads that it was fitted to a law may turn back, and give the volume once more.
-    low_n = 0.0
-    for high_n in np.geomspace(FIRST_FORCE_N, LARGEST_FORCE_N, FORCES_TRIED).tolist():
-        if excess(high_n) >= 0:
-            root: Any = brentq(excess, low_n, high_n, xtol=1e-9)
-            return float(root)
-        low_n = high_n
-    return math.inf
+    if abs(excess(chord)) <= 1e-12 * response:
+        return chord
+    root: Any = brentq(excess, low, high, xtol=1e-9)
+    return float(root)
 
 
 def _taken_as_known(law: ContactLaw, columns: tuple[str, ...]) -> str:

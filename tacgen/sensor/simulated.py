@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 
 from tacgen.contact.gap import pose_problem
 from tacgen.contact.gel import gel_size_mm
+from tacgen.contact.gel_response import GelCourse, gel_loads
+from tacgen.contact.indenter import Imprint, contact_status
 from tacgen.contact.law import ContactLaw, load_law
 from tacgen.core.errors import ContactError, SensorError
 from tacgen.core.records import ContactFrame, ContactStatus, Mesh
 from tacgen.core.records import Sensor as Description
+from tacgen.core.sensors import SensorChoice, load_sensor
 from tacgen.core.types import MM_PER_M, FloatArray
-from tacgen.optics.table import load_table
-from tacgen.sensor.description import SensorChoice, load_sensor
-from tacgen.sensor.gel_response import GelCourse, gel_loads
-from tacgen.sensor.tactile_pad import Imprint, TactilePad, contact_status
+from tacgen.sensor.tactile_pad import TactilePad
 
 if TYPE_CHECKING:
     import trimesh
@@ -185,9 +185,9 @@ class Sensor:
             self.law = contact
         else:
             self.law = ContactLaw.default() if contact is None else load_law(Path(contact))
-        self.table = load_table(self.description.table)
         self._drawn: dict[str, Any] = {"shadows": shadows, "markers": markers}
-        self._pad = TactilePad(self.description, self.table, **self._drawn)
+        self._pad = TactilePad(self.description, **self._drawn)
+        self.table = self._pad.table
         self._rng = np.random.default_rng(np.random.SeedSequence(seed)) if noise else None
         self._simulation: EngineContacts | None = None
         self._gel = GelCourse(self.law)
@@ -274,7 +274,7 @@ class Sensor:
 
     def at_rest_rgb(self) -> NDArray[np.uint8]:
         """The image (H, W, 3) of the gel with nothing on it, without noise."""
-        return self._pad.image(Imprint())
+        return self._pad.at_rest_rgb.copy()
 
     def attach_pybullet(
         self,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tacgen.calibrate.friction.sweep import friction_json, mu_range, sweep_friction
+from tacgen.collection.friction import friction_json, mu_range, sweep_friction
 from tacgen.collection.inputs import recipe_inputs
 from tacgen.collection.recipe import Recipe
 from tacgen.collection.run import collect

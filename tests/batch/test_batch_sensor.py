@@ -8,14 +8,14 @@ import pytest
 import trimesh
 
 import tacgen
-from tacgen.collection.bench import batch_figures
+from tacgen.cli.bench import batch_figures
 from tacgen.contact import gap_map, solve_indentation
+from tacgen.contact.gel_response import GelCourse, gel_loads
 from tacgen.contact.law import ContactLaw, FittedEffect
 from tacgen.core.errors import ContactError, SensorError, TableError
 from tacgen.core.records import ContactFrame, Estimate
 from tacgen.objects import load_object
 from tacgen.optics.table import save_table
-from tacgen.sensor.gel_response import GelCourse, gel_loads
 from tacgen.sensor.simulated import as_mesh
 from tacgen.sensor.tactile_pad import TactilePad
 from validation.batch.frames import compare, random_frames

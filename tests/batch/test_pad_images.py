@@ -9,13 +9,14 @@ from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe
 from tacgen.collection.run import prepare
+from tacgen.contact.gel_response import GelLoad
+from tacgen.contact.indenter import Imprint
 from tacgen.core.errors import DatasetError, SensorError
+from tacgen.core.sensors import load_sensor
 from tacgen.dataset import DatasetFolder
 from tacgen.optics import load_table
-from tacgen.sensor.description import load_sensor
-from tacgen.sensor.gel_response import GelLoad
 from tacgen.sensor.simulated import as_mesh
-from tacgen.sensor.tactile_pad import Imprint, TactilePad
+from tacgen.sensor.tactile_pad import TactilePad
 
 BALL = as_mesh(trimesh.creation.icosphere(subdivisions=4, radius=4.0))
 

@@ -16,8 +16,8 @@ from tacgen.cli import app
 from tacgen.cli.recipes import recipe_kinds
 from tacgen.core import progress
 from tacgen.core.schema import FILE_KINDS
+from tacgen.core.sensors import SensorChoice, load_sensor, sensor_lines
 from tacgen.optics import save_table
-from tacgen.sensor.description import SensorChoice, load_sensor, sensor_lines
 from tests.small_world import slope_table, write_world
 
 

@@ -7,10 +7,11 @@ import yaml
 
 from tacgen.collection import border
 from tacgen.collection.border import choose_near_border, next_grasps
-from tacgen.collection.grid import AXES, grown_plan, plan_recipe
+from tacgen.collection.grid import grown_plan, plan_recipe
 from tacgen.collection.recipe import load_recipe
 from tacgen.collection.run import collect
 from tacgen.core.errors import RecipeError
+from tacgen.core.records import AXES
 from tacgen.dataset import Dataset, DatasetFolder
 from tacgen.dataset.summary import summarize, summary_text
 from tacgen.dataset.verify import verify

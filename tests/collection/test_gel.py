@@ -9,13 +9,13 @@ import trimesh
 from scipy.special import ellipe
 
 from tacgen.collection.gel import gel_patch
+from tacgen.contact.indenter import Indenter
 from tacgen.contact.law import ContactLaw
 from tacgen.core.records import ContactFrame, GraspConfig, GraspObject, Mesh
+from tacgen.core.sensors import load_sensor
 from tacgen.core.types import STANDARD_GRAVITY_M_S2
-from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
-from tacgen.physics.margins import torsion_arm_mm
-from tacgen.sensor.description import load_sensor
-from tacgen.sensor.tactile_pad import Indenter
+from tacgen.physics import FrameRequest, GelModel, GraspSimulator, PhysicsSettings, run_grasp
+from tacgen.physics.margins import torsion_limit
 
 GEL_MM = np.array([24.0, 19.0])
 SENSOR = replace(load_sensor("gelsight"), gel_size_mm=tuple(GEL_MM))
@@ -117,7 +117,9 @@ def turns(simulator, name, force_n, friction_share, ratio, *, friction=0.5):
     config = GraspConfig(0, name, force_n, 0.0, 0.0, height_mm)
     patch_of = partial(gel_patch, Indenter(SENSOR), ContactLaw.linear(K_N, 1.0), obj.surface)
     settings = PhysicsSettings(clearance_mm=0.5)
-    trace = run_grasp(simulator, obj, config, settings, frames=FrameRequest(), patch_of=patch_of)
+    trace = run_grasp(
+        simulator, obj, config, settings, frames=FrameRequest(), gel=GelModel(patch_of)
+    )
     return trace.turn_rad > settings.success_turn_rad
 
 
@@ -141,7 +143,7 @@ def test_a_pads_moment_has_its_closed_form(name, force_n):
     depth_mm = np.sqrt(K_N * force_n * np.sqrt(round_x * round_y) / np.pi)
     long_mm, short_mm = (np.sqrt(2 * depth_mm / one) for one in (round_y, round_x))
     closed_mm = 16 * long_mm * ellipe(1 - (short_mm / long_mm) ** 2) / (15 * np.pi)
-    assert torsion_arm_mm(patch_of_gel(name, force_n)) == pytest.approx(closed_mm, rel=0.01)
+    assert torsion_limit(patch_of_gel(name, force_n))(0.0) == pytest.approx(closed_mm, rel=0.01)
 
 
 @pytest.mark.parametrize("force_n", [2.0, 10.0, 30.0])
@@ -152,7 +154,7 @@ def test_the_limits_are_those_of_the_integrated_patch(name, force_n):
     patch = patch_of_gel(name, force_n)
     for friction_share in (0.0, 0.3, 0.6, 0.9):
         expected_mm = integrated_limit_mm(x, y, share, friction_share)
-        assert torsion_arm_mm(patch, friction_share) == pytest.approx(expected_mm, rel=0.01)
+        assert torsion_limit(patch)(friction_share) == pytest.approx(expected_mm, rel=0.01)
 
 
 @pytest.mark.parametrize("tilt_rad", [0.02, 0.06])
@@ -175,7 +177,7 @@ def test_no_contact_holds_no_moment():
     surface = mesh_of(trimesh.creation.box((10.0, 10.0, 10.0)).apply_translation([0, 90, 0]))
     load = frame(5.0, from_the_left(0.0))
     patch = gel_patch(Indenter(SENSOR), ContactLaw.linear(K_N, 1.0), surface, load)
-    assert torsion_arm_mm(patch) == 0.0
+    assert torsion_limit(patch)(0.0) == 0.0
 
 
 @pytest.mark.slow

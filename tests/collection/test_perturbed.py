@@ -10,7 +10,6 @@ from tacgen.collection.perturbed import (
     Perturbation,
     perturbed_entry,
     perturbed_object,
-    place_of,
     recipe_object,
     simulate_perturbed,
 )
@@ -50,7 +49,7 @@ def simulated(tmp_path_factory):
     wanted = [(place, change) for place in places.values() for change in perturbations.values()]
     found = simulate_perturbed(RECIPE, wanted, out, workers=1)
     by_name = {
-        (where, what): found[place_of(place), change]
+        (where, what): found[place.point, change]
         for where, place in places.items()
         for what, change in perturbations.items()
     }
@@ -112,7 +111,7 @@ def test_an_object_held_in_its_middle_needs_half_its_load_over_mu(tmp_path, adde
     found = simulate_perturbed(
         recipe, [(place, Perturbation()) for place in places], tmp_path, workers=1
     )
-    assert [found[place_of(place), Perturbation()].label for place in places] == [0, 1]
+    assert [found[place.point, Perturbation()].label for place in places] == [0, 1]
 
 
 @pytest.mark.slow
@@ -170,8 +169,10 @@ def test_changes_on_top_of_each_other_multiply_and_add():
 def test_torsion_is_asked_to_hold_the_moment_of_the_largest_turn(share, swing, whole):
     margin = SlipMargin(1.0, 0.1, np.nan, np.zeros(2), 3.0, 1.2, 1.5, share)
     config = GraspConfig(0, "sugar_box", 8.0, 0.0, 0.0, 50.0, 0.0)
-    pose = np.zeros((0, 7))
-    trace = GraspTrace(config, "executed", 1, "", {}, pose, 180.0, 0.02, margin)
+    trace = GraspTrace(
+        config=config, status="executed", label=1, frames={}, object_pose=np.zeros((0, 7)),
+        rise_mm=180.0, turn_rad=0.02, margin=margin,
+    )  # fmt: skip
     outcome = Outcome.of(trace, RECIPE.physics_settings)
     assert (outcome.friction_ratio, outcome.turn_ratio) == pytest.approx((3.0, 0.2))
     assert (outcome.swing_ratio, outcome.whole_swing_ratio) == pytest.approx((swing, whole))

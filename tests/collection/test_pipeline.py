@@ -11,10 +11,10 @@ from tacgen.collection.grid import plan_recipe
 from tacgen.collection.perturbed import recipe_object
 from tacgen.collection.pipeline import GraspPipeline, dataset_spec, tactile_pad
 from tacgen.collection.recipe import Contact, Grid, ObjectEntry, Recipe, load_recipe
+from tacgen.contact.gel_response import gel_loads
 from tacgen.core.errors import TableError
 from tacgen.core.resources import packaged
-from tacgen.sensor.gel_response import gel_loads
-from tacgen.sensor.tactile_pad import Imprint, TactilePad
+from tacgen.sensor.tactile_pad import TactilePad
 
 
 def test_a_shipped_contact_law_is_found_from_anywhere(tmp_path, monkeypatch):
@@ -85,9 +85,8 @@ def test_frames_of_a_steady_hold_share_their_picture(monkeypatch):
     with GraspPipeline(recipe) as pipeline:
         grasp = pipeline.simulate(planned)
         assert grasp.trace.label == 1
-        clean, rendered = pipeline.render(grasp, "left")
+        clean, imprints = pipeline.render(grasp, "left")
         noisy, _ = pipeline.render(grasp, "left", rng=np.random.default_rng(1))
-    imprints = [frame.imprint for frame in rendered]
     shared = [now is before for before, now in itertools.pairwise(imprints)]
     assert sum(shared) >= 4
     pad, rng = tactile_pad(recipe), np.random.default_rng(1)
@@ -96,7 +95,7 @@ def test_frames_of_a_steady_hold_share_their_picture(monkeypatch):
         # Another object of the same imprint is drawn anew.
         again = pad.image(replace(imprints[k]), rng=rng)
         np.testing.assert_array_equal(noisy[k], again)
-        exact = pad.render(grasp.grasped.surface, frame.pose_gel_object, load).rgb
+        exact = pad.render(grasp.grasped.surface, frame.pose_gel_object, load)
         differs = np.abs(exact.astype(int) - clean[k])
         assert differs.max() <= 1
         assert differs.mean() < 0.01
@@ -116,7 +115,7 @@ def test_a_grip_at_the_pads_rim_shows_no_other_surface(engine):
     recipe = Recipe.model_validate({"name": "rim", "robot": {"tactile_pads": "both"}, **sections})
     with GraspPipeline(recipe) as pipeline:
         shown, beside = (pipeline.sample(planned).pads for planned in plan_recipe(recipe))
-        at_rest = tactile_pad(recipe).image(Imprint())
+        at_rest = tactile_pad(recipe).at_rest_rgb
     for pad in ("left", "right"):
         assert [int(v[0]) for v in validity_of(shown[pad])] == [0, 0, 0]
         assert shown[pad].indentation_mm[0] > 0.3

@@ -12,8 +12,8 @@ from tacgen.collection.recipe import Recipe, load_recipe
 from tacgen.core.errors import RecipeError
 from tacgen.core.resources import packaged
 from tacgen.core.schema import Axis
+from tacgen.core.sensors import load_sensor
 from tacgen.physics.robots import RobotSpec
-from tacgen.sensor.description import load_sensor
 
 AXIS = TypeAdapter(Axis)
 OTHER_KINDS = ("rig", "train", "paper")

@@ -17,10 +17,10 @@ from tacgen.collection.recipe import load_recipe
 from tacgen.collection.run import Collected, collect, describe
 from tacgen.core.errors import DatasetError
 from tacgen.core.processes import Event
+from tacgen.core.sensors import load_sensor
 from tacgen.dataset import Dataset
 from tacgen.dataset.gallery import Thumbnails
 from tacgen.optics import load_table
-from tacgen.sensor.description import load_sensor
 from tests.small_world import write_world
 
 pytestmark = pytest.mark.slow

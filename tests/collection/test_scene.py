@@ -20,8 +20,8 @@ def trace(object_x_mm=0.0, opening_mm=20.0):
     frame = ContactFrame(0.0, 5.0, np.zeros(2), 0.0, np.linalg.inv(gel_in_world) @ object_in_world)
     pose = np.array([[object_x_mm, 0, 0, 0, 0, 0, 1.0]])
     return GraspTrace(
-        CONFIG, "executed", 1, "", {"left": (frame,)}, pose, 180.0, 0.0,
-        pad_distance_mm=np.full((1, 2), opening_mm),
+        config=CONFIG, status="executed", label=1, frames={"left": (frame,)}, object_pose=pose,
+        rise_mm=180.0, pad_distance_mm=np.full((1, 2), opening_mm),
     )  # fmt: skip
 
 

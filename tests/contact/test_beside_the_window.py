@@ -7,9 +7,9 @@ import pytest
 import trimesh
 
 from tacgen.contact.gap import CUT_AFTER
+from tacgen.contact.gel_response import GelLoad
+from tacgen.contact.indenter import Indenter
 from tacgen.core.records import Mesh, Sensor
-from tacgen.sensor.gel_response import GelLoad
-from tacgen.sensor.tactile_pad import Indenter
 
 # A window of 16 mm × 12 mm on a gel of 24 mm × 20 mm.
 FLAT = Sensor("flat", 120, 160, 0.1, 4.0, gel_size_mm=(24.0, 20.0))

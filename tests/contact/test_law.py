@@ -7,6 +7,7 @@ import pytest
 import trimesh
 import yaml
 
+from tacgen.contact.effects import LoadHistory
 from tacgen.contact.law import ContactLaw, FittedEffect, load_law, save_law
 from tacgen.core.errors import ContactError
 from tacgen.core.records import Estimate
@@ -82,11 +83,13 @@ def test_a_log_without_the_thermometer_is_refused():
         law_with(effect("temperature", linear_per_c=0.02)).predict(COLUMNS)
 
 
+def depth_mm(law, k_factor=1.0):
+    return law.simulated(LoadHistory(COLUMNS, measured=False), k_factor)[0]
+
+
 def test_depth_of_the_linear_depth_law():
     law = ContactLaw("linear_depth", Estimate(5.0), k_depth_mm_per_n=Estimate(0.05, 0.0, "mm/N"))
-    np.testing.assert_allclose(law.predict_depth(COLUMNS), 0.05 * COLUMNS["force_normal_n"])
-    with pytest.raises(ContactError, match="only linear_depth gives a depth"):
-        ContactLaw.linear(5.0).predict_depth(COLUMNS)
+    np.testing.assert_allclose(depth_mm(law), 0.05 * COLUMNS["force_normal_n"])
 
 
 def tactos(margin_mm):
@@ -101,14 +104,14 @@ def test_the_collision_margin_loses_the_contact_below_a_force(tmp_path):
     law = load_law(tmp_path / "contact.yaml")
     # max(0, c F − g): nothing up to g / c = 2 N, then c a newton.
     closed_form = [0.0, 0.0, 0.0, 0.05, 0.1]
-    np.testing.assert_allclose(law.predict_depth(COLUMNS), closed_form, atol=1e-12)
-    np.testing.assert_allclose(law.predict_depth(COLUMNS, 2.0), [0, 0, 0.1, 0.2, 0.3], atol=1e-12)
+    np.testing.assert_allclose(depth_mm(law), closed_form, atol=1e-12)
+    np.testing.assert_allclose(depth_mm(law, 2.0), [0, 0, 0.1, 0.2, 0.3], atol=1e-12)
     memory = {}
-    for k, depth_mm in enumerate(closed_form):
+    for k, expected_mm in enumerate(closed_form):
         row = {name: float(column[k]) for name, column in COLUMNS.items()}
         normal, _, memory = law.advance(row, memory)
-        assert normal == pytest.approx(depth_mm, abs=1e-12)
-    assert tactos(0.0).predict_depth(COLUMNS)[1] == 0.05
+        assert normal == pytest.approx(expected_mm, abs=1e-12)
+    assert depth_mm(tactos(0.0))[1] == 0.05
 
 
 @pytest.mark.parametrize("margin_mm", [-0.1, math.inf, math.nan])

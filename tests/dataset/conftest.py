@@ -50,7 +50,10 @@ def make_sample(index: int, spec: DatasetSpec) -> GraspSample:
     config = GraspConfig(index, "can" if index % 2 else "cup", 5.0 + index, 0.5 * index, -1.0, 40.0)
     split = "test" if index % 4 == 3 else "train"
     if index % 5 == 4:
-        return GraspSample(config, 77 + index, split, "unreachable", -1, reason="too far away")
+        return GraspSample(
+            config=config, seed=77 + index, split=split,
+            status="unreachable", label=-1, reason="too far away",
+        )  # fmt: skip
     label = int(index % 3 > 0)
     force_n = np.linspace(0, config.force_n, frames)
     pads = {

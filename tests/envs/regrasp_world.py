@@ -1,5 +1,9 @@
 """A recipe and a tiny network for ``tacgen regrasp``, for tests of it and of its study."""
 
+import atexit
+import shutil
+import tempfile
+from functools import cache
 from pathlib import Path
 
 from tacgen.collection.recipe import load_recipe
@@ -30,8 +34,11 @@ NETWORK = {
 FEW = Play(regrasps=2, episodes=3, worlds=3)
 
 
-def regrasp_world(folder: Path) -> Path:
-    """The folder with a recipe and a network that was trained on 16 grasps of it."""
+@cache
+def regrasp_world() -> Path:
+    """A folder with a recipe and a network that was trained on 16 grasps of it, for the process."""
+    folder = Path(tempfile.mkdtemp(prefix="tacgen-regrasp-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
     recipe = write_world(folder, **SECTIONS)
     more = {"grid": "{force_n: [10, 40], y_mm: {linspace: [-28, 28, 8]}, z_mm: 90}", "seed": "6"}
     training = write_world(folder / "training", **(SECTIONS | more))

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tacgen.collection.grid import AXES, plan_recipe
+from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe
 from tacgen.core.errors import RecipeError
+from tacgen.core.records import AXES
 from tacgen.envs.grasp_world import GraspWorld, grasp_values
 
 RANDOM = {

@@ -11,8 +11,8 @@ import pytest
 import tacgen
 from tacgen.collection.recipe import Recipe
 from tacgen.core.errors import LearningError, RecipeError
+from tacgen.core.sensors import load_sensor
 from tacgen.envs.grasp_world import grasp_values
-from tacgen.sensor.description import load_sensor
 from tests.envs.test_grasp_world import engine, small_recipe  # noqa: F401
 
 gymnasium = pytest.importorskip("gymnasium")

@@ -28,8 +28,8 @@ from tests.small_world import write_world
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory) -> Path:
-    return regrasp_world(tmp_path_factory.mktemp("regrasp"))
+def world() -> Path:
+    return regrasp_world()
 
 
 @pytest.fixture(scope="module")

@@ -117,9 +117,9 @@ def _read_mesh(path: Path) -> object:
 
 def _added_object(pattern: str) -> Callable[[Path], Path]:
     def make(folder: Path) -> Path:
-        from tacgen.objects.add import add_object
+        from tacgen.objects.add import MeshFacts, add_object
 
-        added = add_object(_box("box.stl")(folder), mass_kg=0.1, into=folder)
+        added = add_object(_box("box.stl")(folder), MeshFacts(0.1), into=folder)
         (path,) = added.object.folder.glob(pattern)
         return path
 
@@ -245,7 +245,7 @@ def _make_sensor(folder: Path) -> Path:
 
 
 def _read_sensor(path: Path) -> object:
-    from tacgen.sensor.description import load_sensor
+    from tacgen.core.sensors import load_sensor
 
     return load_sensor(str(path))
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tacgen.calibrate.friction.sweep import data_warnings, fit_friction, mu_range
+from tacgen.collection.friction import data_warnings, fit_friction, mu_range
 from tacgen.collection.perturbed import Outcome
 from tacgen.core.records import GraspConfig
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps

@@ -7,9 +7,9 @@ import pytest
 import trimesh
 
 from tacgen.contact.effects import all_effects
+from tacgen.contact.gel_response import GelCourse, GelLoad, gel_loads
 from tacgen.contact.law import ContactLaw
 from tacgen.core.records import ContactFrame, Estimate, Markers, Mesh, Sensor
-from tacgen.sensor.gel_response import GelCourse, GelLoad, gel_loads
 from tacgen.sensor.tactile_pad import TactilePad
 from tests.contact.effects.test_reading import forms_of, law_of
 from tests.contact.effects.test_registry import press_columns
@@ -73,11 +73,11 @@ def changed_bodies():
 @pytest.mark.parametrize(("name", "mesh", "undone"), list(changed_bodies()))
 def test_how_a_mesh_is_written_does_not_matter(sensor, name, mesh, undone):
     pad = pad_of(sensor, markers=True)
-    plain, other = pad.render(mesh_of(body()), POSE, LOAD), pad.render(mesh, POSE @ undone, LOAD)
-    a, b = (one.imprint.depth_map_mm(sensor) for one in (plain, other))
+    plain, other = pad.press(mesh_of(body()), POSE, LOAD), pad.press(mesh, POSE @ undone, LOAD)
+    a, b = (one.depth_map_mm(sensor) for one in (plain, other))
     # Rounding at a triangle's edge gives a pixel to the one or the other: a step of its facet.
     np.testing.assert_allclose(b, a, atol=1e-5)
-    assert np.abs(plain.rgb.astype(int) - other.rgb).max() <= 1
+    assert np.abs(pad.image(plain).astype(int) - pad.image(other)).max() <= 1
 
 
 @pytest.mark.parametrize("sensor", [FLAT, DOMED], ids=lambda one: one.name)
@@ -101,14 +101,15 @@ def test_a_mirrored_press_is_mirrored(sensor):
 def test_half_the_pixel_size_is_the_same_gel(sensor):
     fine = replace(sensor, height_px=240, width_px=320, mm_per_px=0.05)
     mesh = mesh_of(body())
-    coarse, finer = (pad_of(one).render(mesh, POSE, LOAD) for one in (sensor, fine))
-    assert finer.imprint.volume_mm3 == pytest.approx(coarse.imprint.volume_mm3, rel=1e-5)
+    pads = pad_of(sensor), pad_of(fine)
+    coarse, finer = (pad.press(mesh, POSE, LOAD) for pad in pads)
+    assert finer.volume_mm3 == pytest.approx(coarse.volume_mm3, rel=1e-5)
     # First touch is at a pixel's centre: up to half a pixel from the tip of a ball of 1.2 mm.
     touch_mm = 2 * (0.1 / 2) ** 2 / (2 * 1.2)
-    depths = finer.imprint.indentation_mm, coarse.imprint.indentation_mm
+    depths = finer.indentation_mm, coarse.indentation_mm
     assert depths[0] == pytest.approx(depths[1], abs=touch_mm)
-    averaged = finer.rgb.reshape(120, 2, 160, 2, 3).mean(axis=(1, 3))
-    assert np.abs(averaged - coarse.rgb).mean() < 0.5
+    averaged = pads[1].image(finer).reshape(120, 2, 160, 2, 3).mean(axis=(1, 3))
+    assert np.abs(averaged - pads[0].image(coarse)).mean() < 0.5
 
 
 def shifts(sensor, law, force_n, pose, torsion_n_mm=0.0):
@@ -145,7 +146,7 @@ def test_a_force_twice_as_large_on_a_gel_half_as_soft_is_the_same_picture(sensor
     for by in (1.0, 2.0):
         law = ContactLaw.linear(5.135 / by, 1.0 / by, marker_pitch_mm=2.0)
         frame = ContactFrame(0.0, by * 2.0, by * np.array([0.6, -0.4]), by * 3.0, POSE)
-        pictures.append(pad.render(mesh, POSE, gel_loads(law, [frame])[0]).rgb)
+        pictures.append(pad.render(mesh, POSE, gel_loads(law, [frame])[0]))
     np.testing.assert_array_equal(*pictures)
 
 
@@ -166,12 +167,13 @@ PRESS = {name: values[:40] for name, values in press_columns(1, 60).items()}  # 
 @pytest.mark.parametrize("law", FIRST_FORMS)
 def test_the_picture_of_a_press_depends_neither_on_the_clock_nor_on_reading_twice(law):
     pad, mesh = pad_of(DOMED, markers=True), mesh_of(body())
-    plain = pad.render(mesh, POSE, course(law, PRESS))
-    assert plain.imprint.volume_mm3 > 0.0
+    plain = pad.press(mesh, POSE, course(law, PRESS))
+    drawn = pad.image(plain).astype(int)
+    assert plain.volume_mm3 > 0.0
     for options in ({"clock_s": 1000.0}, {"readings": 2}):
-        other = pad.render(mesh, POSE, course(law, PRESS, **options))
-        assert other.imprint.volume_mm3 == pytest.approx(plain.imprint.volume_mm3, rel=1e-9)
-        assert np.abs(other.rgb.astype(int) - plain.rgb).max() <= 1
+        other = pad.press(mesh, POSE, course(law, PRESS, **options))
+        assert other.volume_mm3 == pytest.approx(plain.volume_mm3, rel=1e-9)
+        assert np.abs(pad.image(other) - drawn).max() <= 1
 
 
 def test_shear_scaled_scales_the_motion_of_what_sticks():

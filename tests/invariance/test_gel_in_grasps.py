@@ -11,10 +11,10 @@ from tacgen.collection.gel import contact_law
 from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline, tactile_pad
 from tacgen.collection.recipe import load_recipe
+from tacgen.contact.gel_response import gel_loads
 from tacgen.contact.law import ContactLaw, FittedEffect
 from tacgen.core.records import Estimate, GraspConfig
-from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
-from tacgen.sensor.gel_response import gel_loads
+from tacgen.physics import FrameRequest, GelModel, GraspSimulator, PhysicsSettings, run_grasp
 from tests.physics.conftest import SEQUENCE, block
 from tests.small_world import write_world
 
@@ -36,7 +36,9 @@ def traces(request):
     config = GraspConfig(0, "block", 10.0, 0.0, 0.0, 50.0)
     with GraspSimulator("wsg50", request.param) as simulator:
         return [
-            run_grasp(simulator, block(), config, settings, frames=frames, keeps_past=True)
+            run_grasp(
+                simulator, block(), config, settings, frames=frames, gel=GelModel(keeps_past=True)
+            )
             for frames in KEPT
         ]
 
@@ -57,7 +59,14 @@ def test_what_the_grasp_does_does_not_depend_on_whether_a_past_is_kept(traces):
     config = GraspConfig(0, "block", 10.0, 0.0, 0.0, 50.0)
     with GraspSimulator("wsg50") as simulator:
         pair = [
-            run_grasp(simulator, block(), config, settings, frames=SEQUENCE, keeps_past=keeps)
+            run_grasp(
+                simulator,
+                block(),
+                config,
+                settings,
+                frames=SEQUENCE,
+                gel=GelModel(keeps_past=keeps),
+            )
             for keeps in (False, True)
         ]
     assert pair[0].rise_mm == pair[1].rise_mm

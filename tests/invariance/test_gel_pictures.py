@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import trimesh
 
+from tacgen.contact.gel_response import GelLoad
 from tacgen.contact.law import ContactLaw
 from tacgen.core.records import Markers, Mesh, Sensor
 from tacgen.optics import render_rgb
 from tacgen.optics.image_models import ContactLight
 from tacgen.optics.reconstruct import Reconstructor
-from tacgen.sensor.gel_response import GelLoad
 from tacgen.sensor.read_image import _with_forces
 from tacgen.sensor.tactile_pad import TactilePad
 from tests.sensor.test_read_image import imprint

@@ -11,7 +11,7 @@ import trimesh
 
 from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, Mesh
 from tacgen.objects import load_object
-from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
+from tacgen.physics import FrameRequest, GelModel, GraspSimulator, PhysicsSettings, run_grasp
 from tacgen.physics.contacts import pressed
 from tacgen.physics.engine import Touch
 from tacgen.physics.reach import within_reach
@@ -217,7 +217,7 @@ def test_pads_touch_where_the_gel_is_pressed(
 
     monkeypatch.setattr(simulator.world, "touches", spy)
     settings = settings_of(simulator)
-    run_grasp(simulator, cup, config, settings, frames=FrameRequest(), patch_of=patch_of)
+    run_grasp(simulator, cup, config, settings, frames=FrameRequest(), gel=GelModel(patch_of))
     expected_mm = -4.0 * 30.0 / 63.0
     assert touched == pytest.approx([expected_mm] * 2, abs=0.3)
     # Gel x is world −y of the left pad and world y of the right one.
@@ -227,9 +227,9 @@ def test_pads_touch_where_the_gel_is_pressed(
 
 class _Gel:
     def __init__(self) -> None:
+        from tacgen.contact.indenter import Indenter
         from tacgen.contact.law import ContactLaw
-        from tacgen.sensor.description import load_sensor
-        from tacgen.sensor.tactile_pad import Indenter
+        from tacgen.core.sensors import load_sensor
 
         self.indenter, self.law = Indenter(load_sensor("gelsight")), ContactLaw.default()
 

@@ -55,7 +55,10 @@ def make_sample(index: int, spec: DatasetSpec) -> GraspSample:
     config = GraspConfig(index, name, 4.0 + index % 7, 0.5 * index, -1.0, 40.0 + index % 3)
     split = "test" if index % 4 == 3 or index % 8 == 2 else "train"
     if index % 9 == 8:
-        return GraspSample(config, index, split, "unreachable", -1, reason="too far")
+        return GraspSample(
+            config=config, seed=index, split=split,
+            status="unreachable", label=-1, reason="too far",
+        )  # fmt: skip
     label = int(rng.random() < 0.5)
     force_n = np.linspace(0, config.force_n, frames)
     felt = PadSample(

@@ -14,7 +14,7 @@ from tacgen.core.errors import ObjectError
 from tacgen.core.records import Mesh
 from tacgen.core.resources import find_object_folder
 from tacgen.objects import load_object
-from tacgen.objects.add import STEPS, add_object, meshes_in, object_name
+from tacgen.objects.add import STEPS, MeshFacts, add_object, meshes_in, object_name
 from tacgen.objects.cutting import convex_parts, cut_again
 from tacgen.objects.grasp_ranges import largest_grid, touch_error_mm, touch_errors
 from tacgen.objects.mesh_import import import_surface
@@ -40,7 +40,7 @@ def exported(mesh, name):
 
 def test_a_box_in_metres_becomes_an_object_by_name(own_folder):
     solid = box().apply_translation([500.0, 20.0, -7.0]).apply_scale(1e-3)
-    added = add_object(exported(solid, "tea_box.stl"), mass_kg=0.2, scale=1000.0, friction=0.5)
+    added = add_object(exported(solid, "tea_box.stl"), MeshFacts(0.2, scale=1000.0, friction=0.5))
     assert find_object_folder("tea_box") == added.object.folder
     obj = load_object("tea_box")
     low, high = obj.surface.vertices_mm.min(axis=0), obj.surface.vertices_mm.max(axis=0)
@@ -93,9 +93,9 @@ def test_unmerged_corners_inward_faces_and_a_small_hole_are_mended():
 
 def refused(mesh, file_name, **arguments):
     path = exported(mesh, file_name) if mesh is not None else file_name
-    arguments = {"mass_kg": 0.1, **arguments}
+    facts = MeshFacts(**{"mass_kg": 0.1, **arguments})
     with pytest.raises(ObjectError) as caught:
-        add_object(path, **arguments)
+        add_object(path, facts)
     assert not os.path.exists("objects")
     return str(caught.value)
 
@@ -104,7 +104,7 @@ def test_metres_taken_for_millimetres_are_refused_with_the_scale_that_mends_it()
     small = box().apply_scale(1e-3)
     message = refused(small, "small.stl")
     assert "if the mesh is in metres, pass --scale 1000" in message
-    assert add_object("small.stl", mass_kg=0.1, scale=1000.0).object.mass_kg == 0.1
+    assert add_object("small.stl", MeshFacts(0.1, scale=1000.0)).object.mass_kg == 0.1
 
 
 def test_too_large_is_refused():
@@ -197,15 +197,15 @@ def test_of_an_object_s_meshes_one_is_taken(tmp_path):
 
 def test_an_existing_object_is_kept_unless_forced(own_folder):
     exported(box(), "thing.stl")
-    add_object("thing.stl", mass_kg=0.1)
+    add_object("thing.stl", MeshFacts(0.1))
     with pytest.raises(ObjectError, match="exists already; pass --force"):
-        add_object("thing.stl", mass_kg=0.3)
+        add_object("thing.stl", MeshFacts(0.3))
     assert load_object("thing").mass_kg == 0.1
-    add_object("thing.stl", mass_kg=0.3, force=True)
+    add_object("thing.stl", MeshFacts(0.3), force=True)
     assert load_object("thing").mass_kg == 0.3
     (own_folder / "objects" / "notes").mkdir()
     with pytest.raises(ObjectError, match="is no object's folder"):
-        add_object("thing.stl", mass_kg=0.3, name="notes", force=True)
+        add_object("thing.stl", MeshFacts(0.3, name="notes"), force=True)
     assert sorted(os.listdir("objects")) == ["notes", "thing"]
 
 
@@ -215,7 +215,7 @@ def test_a_folder_that_cannot_be_written_leaves_nothing(own_folder, monkeypatch)
 
     monkeypatch.setattr("tacgen.objects.add.write_meshes", full)
     with pytest.raises(ObjectError, match="No space left on device"):
-        add_object(exported(box(), "thing.stl"), mass_kg=0.1)
+        add_object(exported(box(), "thing.stl"), MeshFacts(0.1))
     assert os.listdir("objects") == []
 
 
@@ -246,13 +246,13 @@ def test_a_convex_mesh_keeps_all_its_vertices():
 
 
 def test_adding_reports_how_well_the_collision_shape_follows_the_surface():
-    notes = add_object(exported(can(256), "can.stl"), mass_kg=0.3).notes
+    notes = add_object(exported(can(256), "can.stl"), MeshFacts(0.3)).notes
     assert any("(1 convex) within 0.0" in note and "° of the surface" in note for note in notes)
     ball = trimesh.creation.icosphere(subdivisions=5, radius=25.0)
-    notes = add_object(exported(ball, "ball.stl"), mass_kg=0.3).notes
+    notes = add_object(exported(ball, "ball.stl"), MeshFacts(0.3)).notes
     assert any("(1 convex) within 0.00 mm along x, 0.3 mm" in note for note in notes)
     egg = ball.apply_scale((1.0, 1.0, 1.2))
-    notes = add_object(exported(egg, "egg.stl"), mass_kg=0.3).notes
+    notes = add_object(exported(egg, "egg.stl"), MeshFacts(0.3)).notes
     assert any("of the surface, more than 0.6 mm" in note for note in notes)
 
 
@@ -346,12 +346,12 @@ def suggested_yaw(notes):
 
 def test_a_nut_is_to_be_grasped_by_its_flats():
     turned_deg = 12.0
-    added = add_object(exported(nut(np.radians(turned_deg)), "nut.stl"), mass_kg=0.02)
+    added = add_object(exported(nut(np.radians(turned_deg)), "nut.stl"), MeshFacts(0.02))
     yaw_rad = suggested_yaw(added.notes)
     # Flats face 30° from the corners, and every 60°.
     off_deg = (np.degrees(yaw_rad) - turned_deg - 30.0) % 60.0
     assert min(off_deg, 60.0 - off_deg) <= 1.5
-    again = add_object("nut.stl", mass_kg=0.02, yaw_rad=yaw_rad, force=True)
+    again = add_object("nut.stl", MeshFacts(0.02, yaw_rad=yaw_rad), force=True)
     assert suggested_yaw(again.notes) is None
     width_mm = np.ptp(again.object.surface.vertices_mm[:, 0])
     assert width_mm == pytest.approx(20.0 * np.cos(np.pi / 6), abs=0.3)
@@ -360,7 +360,7 @@ def test_a_nut_is_to_be_grasped_by_its_flats():
 @pytest.mark.parametrize(("sections", "seen"), [(24, True), (360, False)])
 def test_facets_that_the_gel_would_show_are_noted(sections, seen):
     solid = trimesh.creation.cylinder(radius=15.0, height=60.0, sections=sections)
-    notes = add_object(exported(solid, "can.stl"), mass_kg=0.1).notes
+    notes = add_object(exported(solid, "can.stl"), MeshFacts(0.1)).notes
     facets = [note for note in notes if "facets" in note]
     assert bool(facets) is seen
     if seen:

@@ -6,7 +6,7 @@ import trimesh
 
 from tacgen.core.records import Mesh
 from tacgen.objects import load_object
-from tacgen.objects.add import add_object
+from tacgen.objects.add import MeshFacts, add_object
 from tacgen.objects.meshes import mass_properties
 from tacgen.physics import rest
 
@@ -85,11 +85,11 @@ def test_an_overhang_topples_to_its_hull_and_lies_flat():
 
 def test_the_import_rests_it_and_says_how():
     turned(box(), 20.0, [1, 0, 0]).export("leaning.stl")
-    added = add_object("leaning.stl", mass_kg=0.1)
+    added = add_object("leaning.stl", MeshFacts(0.1))
     size = np.ptp(added.object.surface.vertices_mm, axis=0)
     np.testing.assert_allclose(size, [30.0, 40.0, 80.0], atol=1e-3)
     assert "turned by 20° about (-1.00, 0.00, 0.00)" in added.notes[0]
-    kept = add_object("leaning.stl", mass_kg=0.1, keep_pose=True, force=True)
+    kept = add_object("leaning.stl", MeshFacts(0.1, keep_pose=True), force=True)
     assert np.ptp(kept.object.surface.vertices_mm[:, 2]) > 85.0
     (note,) = [note for note in kept.notes if "topples" in note]
     assert note.startswith("none of the suggested grasps can be executed (the object topples by 20")
@@ -110,7 +110,7 @@ def mug(handle_deg):
 @pytest.mark.parametrize("handle_deg", [0.0, 90.0])
 def test_a_mug_can_be_grasped_as_suggested_wherever_its_handle_points(handle_deg):
     mug(handle_deg).export("mug.stl")
-    added = add_object("mug.stl", mass_kg=0.3)
+    added = add_object("mug.stl", MeshFacts(0.3))
     notes = "\n".join(added.notes)
     assert "none of the suggested" not in notes
     assert ("turned by" in notes) is (handle_deg == 0.0)
@@ -128,5 +128,5 @@ def test_heights_at_which_nothing_is_met_are_not_suggested():
         trimesh.creation.box((30.0, 15.0, 55.0)).apply_translation([0, y, 27.5]) for y in (-52, 52)
     ]
     trimesh.boolean.union([bar, *feet], engine="manifold").export("bridge.stl")
-    added = add_object("bridge.stl", mass_kg=0.2)
+    added = add_object("bridge.stl", MeshFacts(0.2))
     assert min(added.object.grasp_ranges["z_mm"]) > 40.0

@@ -18,7 +18,7 @@ from tacgen.objects.meshes import volume_mm3
 from tacgen.objects.shading import depth_view, view_axes
 from tacgen.physics import GraspSimulator, PhysicsSettings
 from tacgen.physics.engine import GripperTarget
-from tacgen.physics.margins import dome_patch, torsion_arm_mm
+from tacgen.physics.margins import dome_patch, torsion_limit
 
 STROKE_MM = 110.0  # WSG-50, datasheet
 PAD_MM = (20.0, 16.0)
@@ -189,7 +189,7 @@ def test_ranges_bring_both_outcomes(folder):
     slip_n = weight_n / (2 * obj.friction)
     arms_mm = np.abs(np.array(obj.grasp_ranges["y_mm"]) - obj.center_of_mass_mm[1])
     weakest = dome_patch(forces.min(), dome_radius_mm=30.0, k_n_mm3_per_n=5.135)
-    held_n_mm = 2 * obj.friction * forces.min() * torsion_arm_mm(weakest)
+    held_n_mm = 2 * obj.friction * forces.min() * torsion_limit(weakest)(0.0)
     assert forces.max() <= 40
     assert forces.max() > slip_n
     assert forces.min() < slip_n or held_n_mm < weight_n * arms_mm.max()

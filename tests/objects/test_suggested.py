@@ -6,7 +6,7 @@ import trimesh
 
 from tacgen.collection.recipe import load_recipe
 from tacgen.core.records import Mesh
-from tacgen.objects.add import _turned, add_object
+from tacgen.objects.add import MeshFacts, _turned, add_object
 from tacgen.objects.grasp_ranges import FORCES_N, _heights, suggest_places
 from tacgen.objects.showing import is_shown
 from tacgen.objects.trial import SUCCESSES, _mixed
@@ -109,7 +109,7 @@ def test_added_objects_show_their_grasps_in_every_sensor_with_both_labels(tmp_pa
     solids = {"crate": (trimesh.creation.box(BOX_MM), 0.4), "mug": (mug(), 0.3)}
     for name, (solid, mass_kg) in solids.items():
         solid.export(f"{name}.stl")
-        add_object(f"{name}.stl", mass_kg=mass_kg)
+        add_object(f"{name}.stl", MeshFacts(mass_kg))
     for sensor in ("gelsight", "gelsight_mini", "digit"):
         rows = [row for name in solids for row in measured(recipe_of(name, 16, sensor))]
         assert sum(row.visible for row in rows) >= 0.9 * sum(row.executed for row in rows), rows

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from tacgen.contact.gel_response import GelLoad
 from tacgen.core.errors import TableError
 from tacgen.core.records import Mesh, Sensor
 from tacgen.optics import LookupTable, load_table, render_rgb, save_table
@@ -17,7 +18,6 @@ from tacgen.optics.image_models import (
     register_model,
 )
 from tacgen.optics.reconstruct import Reconstructor
-from tacgen.sensor.gel_response import GelLoad
 from tacgen.sensor.tactile_pad import TactilePad
 from tests.small_world import slope_table
 

@@ -11,7 +11,6 @@ from tacgen.core.errors import TableError
 from tacgen.core.records import Sensor
 from tacgen.optics.effects import Patch, Stage, check_effects, optical_effect, optical_effects
 from tacgen.optics.effects.shadow import (
-    NEAR_PENUMBRA_MM,
     PENUMBRA_MM,
     cast_shadow,
     shadow_reach_mm,
@@ -22,6 +21,7 @@ from tacgen.optics.virtual_sensor import Led, Paint, VirtualSensor
 from validation.optics.sampled_table import sampled_table
 
 MM_PER_PX = 0.1
+PENUMBRA = 0.7
 LEDS = tuple(
     ((0.866 * math.cos(a), 0.866 * math.sin(a), -0.5), tuple(1.5 * (i == k) for k in range(3)))
     for i, a in enumerate((0.3, -1.9, 2.2))
@@ -98,22 +98,26 @@ def test_a_near_lamp_hides_what_rays_to_it_find_hidden(azimuth_deg, distance_mm)
         for depth, r, c in [(0.8, 20, 25), (1.0, 55, 70), (0.6, 62, 20)]
     )
     x, y = (columns - 49.5) * MM_PER_PX, (rows - 39.5) * MM_PER_PX
-    below = np.full(height.shape, -np.inf)
-    for share in np.linspace(0, 1, 400)[1:]:
+    away_mm = np.hypot(x - lamp_mm[0], y - lamp_mm[1])
+    lamp_tangent = (height - lamp_mm[2]) / away_mm
+    hidden, own = np.zeros(height.shape), np.zeros(height.shape)
+    for step_mm in np.arange(0.05, 12, 0.05):
+        share = step_mm / away_mm
         at = [axis + share * (lamp - axis) for axis, lamp in ((y, lamp_mm[1]), (x, lamp_mm[0]))]
         at = np.stack([at[0] / MM_PER_PX + 39.5, at[1] / MM_PER_PX + 49.5])
         relief = map_coordinates(height, at, order=1, cval=1e6)
-        # Of the ray that passes the relief, as it reaches the pixel.
-        reached = (relief - share * lamp_mm[2]) / (1 - share) if share < 1 else np.inf
-        below = np.maximum(below, height - reached)
-    rays = np.clip(below / NEAR_PENUMBRA_MM, 0, 1)
+        tangent = np.where(share < 1, (height - relief) / step_mm, 0)
+        part = np.clip((tangent / lamp_tangent - 1) / PENUMBRA, 0, 1)
+        hidden = np.maximum(hidden, part)
+        if step_mm < 1.5 * MM_PER_PX:
+            own = np.maximum(own, part)
     direction = (*(math.cos(elevation) * lamp_mm[:2] / distance_mm), -math.sin(elevation))
     swept = cast_shadow(
         height.astype(np.float32), MM_PER_PX, direction,
-        lamp_distance_mm=distance_mm, middle_px=(39.5, 49.5),
+        lamp_distance_mm=distance_mm, penumbra=PENUMBRA, middle_px=(39.5, 49.5),
     )  # fmt: skip
-    away = np.hypot(x - lamp_mm[0], y - lamp_mm[1]) > 0.5
-    assert (rays[away] > 0.5).sum() > 50
+    rays, away = hidden - own, away_mm > 0.5
+    assert (rays[away] > 0.3).sum() > 50
     assert abs(swept - rays)[away].mean() < 0.01
     assert np.quantile(abs(swept - rays)[away], 0.99) < 0.2
 
@@ -145,9 +149,9 @@ def test_an_effect_keeps_shape_and_input_and_does_nothing_at_its_identity(effect
     before = array.copy()
     still = {parameter: bounds.identity for parameter, bounds in effect.parameters.items()}
     here = replace(patch(), window=(0, 40, 0, 50), height_mm=ridge((40, 50)))
-    made = LookupTable(
-        np.full((3, 4, 3, 6), -20.0, np.float32), here.background, MM_PER_PX, 1.2, effects={}
-    )
+    coefficients = np.full((3, 4, 3, 6), -20.0, np.float32)
+    coefficients[:, 2] = 20.0  # slopes along x are bright: the lamps stand there
+    made = LookupTable(coefficients, here.background, MM_PER_PX, 1.2, effects={})
 
     def applied(values):
         return effect.apply(array, here, **values, **effect.prepare(made, LEDS, **values))

@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
+from scripts.reference_background import with_reference
 from tacgen.core.errors import TableError
 from tacgen.optics import LookupTable, load_table, render_rgb, save_table
 from tacgen.optics.render import Renderer
 from tacgen.optics.table import ContactLight
-from validation.optics.sampled_table import with_reference
 
 SHAPE = (90, 120)
 MM_PER_PX = 0.1

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tacgen.core.engine_contacts import ContactPoint
 from tacgen.core.resources import gripper_path
 from tacgen.physics.contacts import Bodies, Snapshot, contact_frames, gel_pose
-from tacgen.physics.engine import ContactPoint
 from tacgen.physics.gripper import load_gripper
 
 PADS = load_gripper(gripper_path("wsg50")).sides

@@ -85,19 +85,20 @@ def flat_pads(force_n: float) -> tuple[Contacts, ...]:
     )
 
 
-def declared(spinning_friction_mm: float) -> list[TorsionLimit]:
-    return [lambda share: spinning_friction_mm * torsion_factor(share)] * 2
+def holding(
+    pads: tuple[Contacts, ...], spinning_friction_mm: float
+) -> list[tuple[Contacts, TorsionLimit]]:
+    return [(pad, lambda share: spinning_friction_mm * torsion_factor(share)) for pad in pads]
 
 
 class TestMargins:
     def test_flat_pads_have_the_textbook_limits(self) -> None:
         capacity = grasp_capacity(
-            flat_pads(10.0),
+            holding(flat_pads(10.0), 2.0),
             closing_axis=X_AXIS,
             center_of_mass_m=np.array([0.004, 0.012, 0.02]),
-            mass_kg=0.3,
+            weight_n=0.3 * GRAVITY_M_S2,
             friction=0.5,
-            torsion=declared(2.0),
             success_turn_rad=0.1,
         )
         weight_n = 0.3 * GRAVITY_M_S2
@@ -119,12 +120,11 @@ class TestMargins:
         """The mean over 0.1 rad of the lever of a mass 12 mm beside the pads and so much above."""
         for side in (-1.0, 1.0):
             capacity = grasp_capacity(
-                flat_pads(10.0),
+                holding(flat_pads(10.0), 2.0),
                 closing_axis=X_AXIS,
                 center_of_mass_m=np.array([0.004, side * 0.012, 0.05 + height_mm / 1000]),
-                mass_kg=0.3,
+                weight_n=0.3 * GRAVITY_M_S2,
                 friction=0.5,
-                torsion=declared(2.0),
                 success_turn_rad=0.1,
             )
             weight_n = 0.3 * GRAVITY_M_S2
@@ -142,12 +142,11 @@ class TestMargins:
                 for pad in flat_pads(10.0)
             )
             return grasp_capacity(
-                pads,
+                holding(pads, 0.0),
                 closing_axis=X_AXIS,
                 center_of_mass_m=np.array([0.0, 0.0, 0.05]),
-                mass_kg=0.5,
+                weight_n=0.5 * GRAVITY_M_S2,
                 friction=0.5,
-                torsion=declared(0.0),
                 success_turn_rad=0.1,
             ).tangential_load_n
 
@@ -168,12 +167,11 @@ class TestMargins:
             for x in (-0.03, 0.03)
         )
         capacity = grasp_capacity(
-            pads,
+            holding(pads, 0.0),
             closing_axis=X_AXIS,
             center_of_mass_m=np.array([0.0, 0.0, 0.05]),
-            mass_kg=1e-6,
+            weight_n=1e-6 * GRAVITY_M_S2,
             friction=0.5,
-            torsion=declared(0.0),
             success_turn_rad=0.1,
         )
         assert capacity.torsion_limit_n_mm == pytest.approx(0.5 * 20 * 6.0)

@@ -7,8 +7,8 @@ import pytest
 
 from tacgen.core.records import PADS, GraspConfig
 from tacgen.objects import load_object
-from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
-from tacgen.physics.standing import PadLoad, least_shear
+from tacgen.physics import FrameRequest, GelModel, GraspSimulator, PhysicsSettings, run_grasp
+from tacgen.physics.standing import PadLoad, Table, least_shear
 from tests.physics.conftest import GRAVITY_M_S2, block, grasp
 
 AXIS = np.array([1.0, 0.0, 0.0])
@@ -27,8 +27,8 @@ def pads_of(*forces_n, slope=0.0, moment_n_m=0.0):  # type: ignore[no-untyped-de
 
 def found_of(pads, table_m, table_n, friction=0.5):  # type: ignore[no-untyped-def]
     """Shears (2, 2), along y and up, and moments (2,), the table acting with ``table_n`` (3,)."""
-    pressed_m, pressed_n = np.zeros((1, 3)), np.array([table_n])
-    found = least_shear(pads, AXIS, friction, table_m, pressed_m, pressed_n, 0.4)
+    table = Table(0.4, table_m, np.zeros((1, 3)), np.array([table_n]))
+    found = least_shear(pads, AXIS, friction, table)
     for pad, before in zip(found, pads, strict=True):
         assert pad.force_n[0] == pytest.approx(before.force_n[0], abs=1e-6)
     return np.array([p.force_n[1:] for p in found]), np.array([p.moment_n_m for p in found])
@@ -71,15 +71,8 @@ def test_a_slanted_face_shears_by_what_friction_does_not_hold(slope):
 def test_one_finger_that_pushes_is_stopped_by_the_table():
     """1 N against a table's 0.4 of 3 N: no shear, and the moment is the table's too."""
     (pad, _) = pads_of((1.0, 0.1, 0.3), (0.0, 0.0, 0.0))
-    (found,) = least_shear(
-        [pad],
-        AXIS,
-        0.5,
-        CORNERS_M,
-        np.array([[0.03, 0.0, 0.0]]),
-        np.array([[-1.0, -0.1, 2.7]]),
-        0.4,
-    )
+    pressed_m, pressed_n = np.array([[0.03, 0.0, 0.0]]), np.array([[-1.0, -0.1, 2.7]])
+    (found,) = least_shear([pad], AXIS, 0.5, Table(0.4, CORNERS_M, pressed_m, pressed_n))
     np.testing.assert_allclose(found.force_n, [1.0, 0.0, 0.0], atol=1e-5)
 
 
@@ -107,7 +100,9 @@ def test_a_standing_can_weighs_on_no_pad_and_a_lifted_one_on_both(
     config, weight_n = GraspConfig(0, obj.name, 12.0, 0.0, -6.0, 92.0), obj.mass_kg * GRAVITY_M_S2
     frames = FrameRequest("sequence", 25, 3.0)
     for keeps_past in (False, True):
-        trace = run_grasp(simulator, obj, config, settings, frames=frames, keeps_past=keeps_past)
+        trace = run_grasp(
+            simulator, obj, config, settings, frames=frames, gel=GelModel(keeps_past=keeps_past)
+        )
         lift_s = trace.grasp_time_s + settings.hold_s
         for frame in range(trace.grasp_frame, 25):
             left, right = (trace.frames[pad][frame] for pad in PADS)

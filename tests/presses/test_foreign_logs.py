@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tacgen.calibrate.contact.command import calibrate_contact, read_contact_log
+from tacgen.calibrate.contact.command import LogSource, calibrate_contact
 from tacgen.core.errors import PressError
 from tacgen.diagnose.contact.command import diagnose_log
 from tacgen.presses.geometry import ball_volume_mm3
@@ -312,10 +312,10 @@ def test_what_a_laboratory_writes_is_read_as_it_was_measured(tmp_path, case):
 @pytest.mark.parametrize("case", ["German headers", "no clock", "blank lines between presses"])
 def test_both_commands_read_one_log(tmp_path, case):
     path = written(tmp_path, READ[case][0](presses()))
-    found = calibrate_contact(path, tmp_path / "law.yaml", radius_mm=RADIUS_MM)
+    found = calibrate_contact(LogSource(path, radius_mm=RADIUS_MM), tmp_path / "law.yaml")
     k_n = found.law.k_n_mm3_per_n
     assert abs(k_n.value - K_N) < max(3 * k_n.stderr, 0.01 * K_N)
-    log = read_contact_log(path, LogFormat(), radius_mm=RADIUS_MM, save_log=tmp_path / "unused.csv")
+    log = LogSource(path, radius_mm=RADIUS_MM).read(tmp_path / "unused.csv")
     assert len(log) == len(presses())
 
 
@@ -371,12 +371,10 @@ REFUSED: dict[str, tuple[Callable[[pd.DataFrame], str | bytes], str]] = {
 def test_what_cannot_be_right_is_refused_with_the_option_that_mends_it(tmp_path, case):
     make, words = REFUSED[case]
     path = written(tmp_path, make(presses()))
-    radius_mm = None if case == "a ball of 0.004 mm" else RADIUS_MM
+    source = LogSource(path, radius_mm=None if case == "a ball of 0.004 mm" else RADIUS_MM)
     for read in (
-        lambda: calibrate_contact(path, tmp_path / "law.yaml", radius_mm=radius_mm),
-        lambda: read_contact_log(
-            path, LogFormat(), radius_mm=radius_mm, save_log=tmp_path / "unused.csv"
-        ),
+        lambda: calibrate_contact(source, tmp_path / "law.yaml"),
+        lambda: source.read(tmp_path / "unused.csv"),
     ):
         with pytest.raises(PressError) as caught:
             read()
@@ -402,16 +400,15 @@ def test_what_cannot_be_right_is_refused_with_the_option_that_mends_it(tmp_path,
 def test_the_option_that_is_named_mends_it(tmp_path, case, columns, force_unit):
     path = written(tmp_path, REFUSED[case][0](presses()))
     chosen = LogFormat.of_options(columns, [], force_unit)
-    found = calibrate_contact(
-        path, tmp_path / "law.yaml", log_format=chosen, radius_mm=RADIUS_MM
-    ).law.k_n_mm3_per_n
+    source = LogSource(path, chosen, RADIUS_MM)
+    found = calibrate_contact(source, tmp_path / "law.yaml").law.k_n_mm3_per_n
     assert abs(found.value - K_N) < max(3 * found.stderr, 0.01 * K_N)
 
 
 def test_a_gel_that_is_soft_indeed_is_read_where_newtons_are_confirmed(tmp_path):
     path = written(tmp_path, REFUSED["a gel of water"][0](presses()))
     chosen = LogFormat.of_options([], [], "n")
-    law = calibrate_contact(path, tmp_path / "law.yaml", log_format=chosen).law
+    law = calibrate_contact(LogSource(path, chosen), tmp_path / "law.yaml").law
     assert law.k_n_mm3_per_n.value == pytest.approx(20 * K_N, rel=0.01)
 
 
@@ -439,8 +436,8 @@ def test_no_page_runs_what_a_log_is_named(tmp_path):
     headers = {"t": "time_s", "F": "force_normal_n", "V": "volume_mm3"}
     path = tmp_path / "<b>log.csv"
     frame.rename(columns=headers).drop(columns="d").to_csv(path, index=False)
-    calibrate_contact(path, tmp_path / "law.yaml", tmp_path / "report")
-    diagnose_log(path, tmp_path / "diagnosis")
+    calibrate_contact(LogSource(path), tmp_path / "law.yaml", tmp_path / "report")
+    diagnose_log(LogSource(path), tmp_path / "diagnosis")
     for page in ("report/index.html", "diagnosis/report.html"):
         text = (tmp_path / page).read_text(encoding="utf-8")
         assert not [word for word in ("<script>alert", "<img src=x", "<b>log") if word in text]

@@ -9,13 +9,13 @@ import pandas as pd
 import pytest
 
 from tacgen.contact.gel import mm_to_px, px_to_mm
-from tacgen.contact.shear import marker_grid_mm
+from tacgen.contact.shear import marker_grid_mm, turned
 from tacgen.core.errors import PressError
-from tacgen.presses.marker_tracks import read_marker_tracks, rigid_fit, tracks_in_pictures, turned
+from tacgen.core.sensors import load_sensor
+from tacgen.presses.marker_tracks import read_marker_tracks, rigid_fit, tracks_in_pictures
 from tacgen.presses.press_folder import WITH_FORCES, read_press_folder
 from tacgen.presses.press_log import read_press_log
 from tacgen.rig import load_rig_recipe, run_rig
-from tacgen.sensor.description import load_sensor
 from tests.marker_sessions import SENSOR, make_session, read_session
 
 

@@ -15,6 +15,7 @@ from tacgen.contact.law import load_law
 from tacgen.contact.shear import marker_grid_mm
 from tacgen.core.errors import PressError
 from tacgen.core.resources import packaged
+from tacgen.core.sensors import SensorChoice, load_sensor
 from tacgen.optics import save_table
 from tacgen.optics.dots import dots_at_rest, follow
 from tacgen.optics.reconstruct import Reconstructor, integrate
@@ -23,7 +24,6 @@ from tacgen.presses.press_folder import WITH_FORCES, read_press_folder
 from tacgen.presses.press_forces import measure_presses
 from tacgen.rig import load_rig_recipe, run_rig
 from tacgen.rig.images import Camera, press_ball
-from tacgen.sensor.description import SensorChoice, load_sensor
 from validation.optics.sampled_table import sampled_table
 
 K_N, K_S = 5.135, 0.8

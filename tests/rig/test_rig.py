@@ -15,10 +15,10 @@ from tacgen.contact.effects import Where, all_effects
 from tacgen.contact.law import load_law
 from tacgen.core.errors import RecipeError
 from tacgen.core.resources import packaged
+from tacgen.core.sensors import load_sensor
 from tacgen.presses.press_log import read_press_log
 from tacgen.rig import RigRecipe, load_rig_recipe, run_rig, simulate_session
 from tacgen.rig.rig_recipe import RigEffect
-from tacgen.sensor.description import load_sensor
 
 RECIPES = sorted(packaged("recipes").glob("rig*.yaml"))
 SHEAR_FORCES = ["force_shear_x_n", "force_shear_y_n"]

@@ -8,9 +8,9 @@ import pandas as pd
 import pytest
 import yaml
 
+from tacgen.core.sensors import load_sensor
 from tacgen.rig import RigRecipe, load_rig_recipe, run_rig
 from tacgen.rig.images import press_ball
-from tacgen.sensor.description import load_sensor
 
 
 @pytest.fixture(scope="module")

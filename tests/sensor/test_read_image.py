@@ -17,6 +17,7 @@ import tacgen
 from tacgen.calibrate.lookup.table_fit import fit_lookup
 from tacgen.cli import app
 from tacgen.contact import gel_map_mm
+from tacgen.contact.gel_response import gel_loads
 from tacgen.contact.law import ContactLaw, FittedEffect
 from tacgen.contact.shear import marker_grid_mm
 from tacgen.core.errors import SensorError, TableError
@@ -24,6 +25,7 @@ from tacgen.core.images import encode_png
 from tacgen.core.records import ContactFrame, Estimate
 from tacgen.core.resources import sensor_files
 from tacgen.core.safe_io import read_rgb
+from tacgen.core.sensors import load_sensor
 from tacgen.optics import save_table
 from tacgen.optics.reconstruct import Reconstructor
 from tacgen.optics.virtual_sensor import VirtualSensor
@@ -31,8 +33,6 @@ from tacgen.presses.press_folder import read_presses
 from tacgen.presses.screening import usable_presses
 from tacgen.rig import load_rig_recipe
 from tacgen.rig.images import Camera, press_ball
-from tacgen.sensor.description import load_sensor
-from tacgen.sensor.gel_response import gel_loads
 from tacgen.sensor.read_image import (
     _LATEST,
     MARKER_STDERR_PX,
@@ -219,6 +219,19 @@ def test_a_further_picture_is_read_by_the_reader_of_the_one_before(rig, sensor, 
     before = _LATEST[mine]
     tacgen.read_image(press_of_3_n, mine, darker)
     assert _LATEST[mine] is not before
+
+
+def test_a_reading_does_not_depend_on_the_pictures_before_it(rig, reader, press_of_3_n):
+    """Forwards, backwards and alone: the same numbers, bit by bit."""
+    description, camera, _ = rig
+    shallow = press_ball(description, 4.0, (-2.0, 1.0), 2.0, np.zeros(2))
+    pictures = [press_of_3_n, camera.take(None, np.random.default_rng(5))]
+    pictures.append(camera.take(shallow, np.random.default_rng(6)))
+    forwards = [reader.read(picture) for picture in pictures]
+    backwards = [reader.read(picture) for picture in reversed(pictures)][::-1]
+    for one, other in zip(forwards, backwards, strict=True):
+        np.testing.assert_array_equal(one.depth_mm, other.depth_mm)
+        np.testing.assert_array_equal(one.force_stderr_n, other.force_stderr_n)
 
 
 def test_a_law_with_stiffening_is_inverted(reader, sensor):

@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tacgen.contact import contact_depth, gap_map, gel_map_mm, solve_indentation
+from tacgen.contact.gel_response import GelLoad
 from tacgen.core.errors import ContactError
 from tacgen.core.records import Markers, Mesh, Sensor
+from tacgen.core.sensors import load_sensor
 from tacgen.optics import deform, load_table, render_rgb
 from tacgen.optics.virtual_sensor import VirtualSensor
-from tacgen.sensor.description import load_sensor
-from tacgen.sensor.gel_response import GelLoad
 from tacgen.sensor.tactile_pad import TactilePad
 from validation.optics.sampled_table import sampled_table
 
@@ -62,9 +62,7 @@ BOX = mesh_of(trimesh.creation.box((40, 40, 20)))
 def test_moving_the_object_along_the_normal_changes_no_pixel(table, x, y, shift_mm, shadows):
     pad = TactilePad(SENSOR, table, shadows=shadows)
     load = GelLoad(4.0, shear_sum_mm=(1.0, 0.5))
-    here, there = (
-        pad.render(ball(3.0, 3), pose_at(x, y, z), load).rgb for z in (5.0, 5.0 + shift_mm)
-    )
+    here, there = (pad.render(ball(3.0, 3), pose_at(x, y, z), load) for z in (5.0, 5.0 + shift_mm))
     np.testing.assert_array_equal(here, there)
 
 
@@ -74,19 +72,20 @@ def test_the_quick_way_is_the_contract_functions_one_after_another(table, x, y, 
     # Of a gel that ends where the window does.
     pad = TactilePad(replace(SENSOR, gel_size_mm=(16.0, 12.0)), table)
     mesh = ball(4.0, 4)
-    frame = pad.render(mesh, pose_at(x, y, 4.2), GelLoad(volume_mm3))
+    imprint = pad.press(mesh, pose_at(x, y, 4.2), GelLoad(volume_mm3))
+    drawn = pad.image(imprint)
     gap = gap_map(mesh.vertices_mm, mesh.faces, pose_at(x, y, 4.2), SENSOR)
     delta = solve_indentation(gap, volume_mm3, SENSOR.pixel_area_mm2)
-    assert frame.imprint.indentation_mm == pytest.approx(
+    assert imprint.indentation_mm == pytest.approx(
         min(delta - gap.min(), SENSOR.gel_depth_mm), abs=1e-6
     )
-    depth = contact_depth(gap, float(gap.min()) + frame.imprint.indentation_mm)
+    depth = contact_depth(gap, float(gap.min()) + imprint.indentation_mm)
     rgb = render_rgb(gel_map_mm(SENSOR) - deform(depth, SENSOR.mm_per_px), table)
     # δ differs by the grain of the gap, 2 nm: a pixel here and there rounds the other way.
-    difference = abs(rgb.astype(int) - frame.rgb)
+    difference = abs(rgb.astype(int) - drawn)
     assert difference.max() <= 1
     assert (difference > 0).mean() < 1e-3
-    np.testing.assert_array_equal(render_rgb(height_map_mm(pad, frame.imprint), table), frame.rgb)
+    np.testing.assert_array_equal(render_rgb(height_map_mm(pad, imprint), table), drawn)
 
 
 @settings(max_examples=12, deadline=None)
@@ -134,7 +133,7 @@ def test_frames_do_not_depend_on_the_frames_before(table):
 
     def frame():
         load, rng = GelLoad(4.0, shear_sum_mm=(2, 1)), np.random.default_rng(7)
-        return pad.render(ball(3.0), pose_at(1, 2), load, rng=rng).rgb
+        return pad.render(ball(3.0), pose_at(1, 2), load, rng=rng)
 
     first = frame()
     pad.render(BOX, pose_at(-3, 1), GelLoad(20.0), rng=np.random.default_rng(8))

@@ -1,16 +1,16 @@
-"""CPU seconds of a batch against those of one sensor: ``python -m validation.batch.speed``.
+"""Time of a batch against that of one sensor: ``python -m validation.batch.speed``.
 
 64 worlds, drawn in turn by ``BatchSensor.render_meshes``, on all cores, and by 64 calls of
-``Sensor.render``, from the same meshes; then from gap maps. Seconds of all
-threads together; medians of the ratios of the pairs.
+``Sensor.render``, from the same meshes; then from gap maps. By the clock, on a machine with nothing
+else to do, and in processor seconds of all threads together; medians of the ratios of the pairs.
 """
 
-import statistics
 import time
 from collections.abc import Callable
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 import tacgen
 from tacgen.contact import gap_map
@@ -20,11 +20,11 @@ from validation.batch.frames import random_frames
 WORLDS, PAIRS = 64, 9
 
 
-def cpu_s(draw: Callable[[], object]) -> float:
-    """Seconds that the process has computed for."""
-    start = time.process_time()
+def seconds(draw: Callable[[], object]) -> NDArray[np.float64]:
+    """Seconds by the clock, and that the process has computed for (2,)."""
+    start = np.array([time.perf_counter(), time.process_time()])
     draw()
-    return time.process_time() - start
+    return np.array([time.perf_counter(), time.process_time()]) - start
 
 
 def measure(name: str, *, shadows: bool) -> str:
@@ -52,10 +52,13 @@ def measure(name: str, *, shadows: bool) -> str:
     parts = []
     for what, draw in ways.items():
         draw()
-        pairs = [(cpu_s(draw), cpu_s(single)) for _ in range(PAIRS)]
-        ratio = statistics.median(a / b for a, b in pairs)
-        own, other = (1e3 * statistics.median(one) / WORLDS for one in zip(*pairs, strict=True))
-        parts.append(f"{what} {own:.2f} ms, Sensor {other:.2f} ms, ratio {ratio:.2f}")
+        pairs = np.array([(seconds(draw), seconds(single)) for _ in range(PAIRS)])
+        by_clock, of_processor = np.median(pairs[:, 0] / pairs[:, 1], axis=0)
+        own, other = 1e3 * np.median(pairs[:, :, 0], axis=0) / WORLDS
+        parts.append(
+            f"{what} {own:.2f} ms, Sensor {other:.2f} ms, ratio {by_clock:.2f} by the clock, "
+            f"{of_processor:.2f} in processor seconds"
+        )
     return f"{name:<18} {'shadows' if shadows else '':<8}" + "; ".join(parts)
 
 

@@ -23,12 +23,12 @@ from typing import Any
 import numpy as np
 
 from tacgen.calibrate.contact.law_fit import fit_contact
+from tacgen.core.sensors import load_sensor
 from tacgen.diagnose.markers.diagnose import diagnose_markers
 from tacgen.diagnose.markers.problem import PARTIAL_SLIP, PLACE, SHIFTED, TURNED
 from tacgen.presses.marker_tracks import read_marker_tracks
 from tacgen.presses.press_log import read_press_log
 from tacgen.rig import RigRecipe, run_rig
-from tacgen.sensor.description import load_sensor
 
 EFFECTS = (PARTIAL_SLIP, PLACE, TURNED, SHIFTED)
 WANTED = {0: 0.95, 1: 0.90, 2: 0.80}

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tacgen.calibrate.friction.sweep import fit_friction, mu_range
+from tacgen.collection.friction import fit_friction, mu_range
 
 STEPS = (0.1, 0.05, 0.01)
 N_LABELS = (10, 20, 40)

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from tacgen.collection.perturbed import Perturbation, place_of
+from tacgen.collection.perturbed import Perturbation
 from tacgen.collection.recipe import Recipe
 from tacgen.core.records import GraspConfig
 from tacgen.core.types import BoolArray
@@ -150,7 +150,7 @@ def true_labels(
     }
     simulations.simulate([key for own in keys.values() for key in own])
     return {
-        names: np.array([simulations.known[place_of(c), change].label == 1 for c, change in own])
+        names: np.array([simulations.known[c.point, change].label == 1 for c, change in own])
         for names, own in keys.items()
     }
 
@@ -174,7 +174,7 @@ def run_set(objects: Sequence[str], seed: int, flips: float, out: Path) -> Itera
         simulations.joint.clear()
         comparison = refine(simulations, declared, labels)
         found = posterior(comparison, labels, rng)
-        diagnosis = diagnose_labels(comparison, labels, found, truths[()].astype(int), {}, (), rng)
+        diagnosis = diagnose_labels(comparison, labels, found, truths[()].astype(int), {}, rng)
         yield Trial(
             "+".join(objects),
             names,

@@ -19,16 +19,17 @@ import yaml
 from PIL import Image
 
 import tacgen
+from scripts.reference_background import with_reference
 from tacgen.contact.gel import gel_map_mm
 from tacgen.core.resources import packaged
+from tacgen.core.sensors import load_sensor
 from tacgen.dataset.export import export_dataset
 from tacgen.learning.evaluate import evaluate
 from tacgen.learning.train import train
 from tacgen.learning.training_recipe import load_train_recipe
 from tacgen.optics.table import save_table
 from tacgen.optics.virtual_sensor import Paint, VirtualSensor
-from tacgen.sensor.description import load_sensor
-from validation.optics.sampled_table import sampled_table, with_reference
+from validation.optics.sampled_table import sampled_table
 
 NOISE_GREY = 2.0
 SENSORS = {

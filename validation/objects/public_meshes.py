@@ -20,7 +20,7 @@ import trimesh
 
 from tacgen.core.errors import ObjectError
 from tacgen.core.records import GraspConfig, GraspObject
-from tacgen.objects.add import add_object
+from tacgen.objects.add import MeshFacts, add_object
 from tacgen.objects.mesh_import import FORMATS
 from tacgen.objects.picture import write_picture
 from tacgen.objects.urdf import read_urdf
@@ -83,9 +83,7 @@ def rows(name: str, folder: Path, pattern: str, scale: float | None, out: Path) 
             try:
                 added = add_object(
                     path,
-                    mass_kg=max(G_CM3 * volume * mm**3 / 1e6, 0.001),
-                    scale=mm,
-                    name=key,
+                    MeshFacts(max(G_CM3 * volume * mm**3 / 1e6, 0.001), scale=mm, name=key),
                     into=out / "objects",
                     force=True,
                 )

@@ -21,11 +21,10 @@ from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline, tactile_pad
 from tacgen.collection.recipe import Recipe, load_recipe
 from tacgen.core.resources import object_folders
-from tacgen.objects.add import add_object
+from tacgen.core.sensors import SensorChoice
+from tacgen.objects.add import MeshFacts, add_object
 from tacgen.objects.showing import SENSORS
 from tacgen.optics.visible import VISIBLE, visible_share
-from tacgen.sensor.description import SensorChoice
-from tacgen.sensor.tactile_pad import Imprint
 
 HEADER = ("object", "sensor", "grasps", "executed", "visible", "successes")
 
@@ -51,7 +50,7 @@ class Row:
 
 def measured(recipe: Recipe) -> Iterator[Row]:
     """A row an object of a recipe."""
-    at_rest = tactile_pad(recipe).image(Imprint()).copy()
+    at_rest = tactile_pad(recipe).at_rest_rgb
     pad = recipe.physics_settings.sensing_pads[0]
     with GraspPipeline(recipe) as pipeline:
         samples = [(planned, pipeline.sample(planned)) for planned in plan_recipe(recipe)]
@@ -79,7 +78,7 @@ def recipe_of(what: str, sample: int, sensor: str) -> Recipe:
 
 def imported(mesh: str, kg: str, scale: str = "1") -> str:
     """The name of the object that a mesh becomes."""
-    return add_object(Path(mesh), mass_kg=float(kg), scale=float(scale), force=True).object.name
+    return add_object(Path(mesh), MeshFacts(float(kg), scale=float(scale)), force=True).object.name
 
 
 def main() -> None:

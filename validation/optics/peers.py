@@ -26,12 +26,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.contact.gel_response import GelLoad
+from tacgen.contact.indenter import Imprint
 from tacgen.core.records import Mesh, Sensor
+from tacgen.core.sensors import load_sensor
 from tacgen.objects import load_object
 from tacgen.optics import LookupTable, load_table
-from tacgen.sensor.description import load_sensor
-from tacgen.sensor.gel_response import GelLoad
-from tacgen.sensor.tactile_pad import Imprint, TactilePad
+from tacgen.sensor.tactile_pad import TactilePad
 from validation.optics.peer_runner import least_ms
 
 OBJECTS = ("tomato_soup_can", "golf_ball", "rubiks_cube", "strawberry", "mustard_bottle")

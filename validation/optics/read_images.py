@@ -15,10 +15,10 @@ import sys
 import numpy as np
 
 from tacgen.contact.law import ContactLaw
+from tacgen.core.sensors import load_sensor
 from tacgen.rig import load_rig_recipe
 from tacgen.rig.images import Camera, press_ball
 from tacgen.rig.run import simulate_session
-from tacgen.sensor.description import load_sensor
 from tacgen.sensor.read_image import ImageReader
 from tacgen.sensor.simulated import Sensor
 

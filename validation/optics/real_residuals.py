@@ -2,11 +2,12 @@
 
     python -m validation.optics.real_residuals PRESSES...
 
-For each folder (or Taxim's dataPack) a row: the verdict of ``tacgen diagnose optics`` without a
-table, its effects with what each gains on held-out presses, the error of presses that took no part
-before and after, and the share of the residual's power around contacts that a pattern of distance
-and direction predicts: of held-out presses the same everywhere and changing over the gel, and of
-each press one of its own, of the pixels that it was not fitted to.
+For each folder (or dataPack; ``NAME=PRESSES`` of a sensor that ships, with its scale) a row: the
+verdict of ``tacgen diagnose optics`` without a table, its effects with what each gains on held-out
+presses, the error of presses that took no part before and after, and the share of the residual's
+power around contacts that a pattern of distance and direction predicts: of held-out presses the
+same everywhere and changing over the gel, and of each press one of its own, of the pixels that it
+was not fitted to.
 
 The rules of the search were chosen on simulated presses, ``mini_presses`` and Taxim's small set;
 other sets only judge.
@@ -20,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+from scripts.make_default_tables import real_presses
 from tacgen.diagnose.optics.diagnose import diagnose_optics
 from tacgen.diagnose.optics.fit import Model, PressFit
 from tacgen.diagnose.optics.residuals import AROUND, AROUND_BY_PLACE, PRESS, around_contact
@@ -39,11 +41,13 @@ def structure(fit: PressFit, model: Model) -> str:
 def main() -> None:
     """Print a Markdown table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("presses", nargs="+", type=Path)
+    parser.add_argument("presses", nargs="+", metavar="[NAME=]PRESSES")
     sys.stdout.write("| presses | verdict, follows | effects | error | around contacts |\n")
     sys.stdout.write("|---|---|---|---|---|\n")
-    for path in parser.parse_args().presses:
-        found = diagnose_optics(usable_presses(read_presses(path)))
+    for given in parser.parse_args().presses:
+        name, _, path = given.rpartition("=")
+        presses = real_presses(name, Path(path)) if name else read_presses(Path(path))
+        found = diagnose_optics(usable_presses(presses))
         follows = ", ".join(one.covariate for one in found.unexplained)
         effects = "; ".join(
             f"{one.name} ({one.how}) {one.heldout_gain:.2f} ± {one.heldout_gain_stderr:.2f}"
@@ -51,9 +55,9 @@ def main() -> None:
         )
         fit, chosen = found.fit, found.selection.chosen
         sys.stdout.write(
-            f"| {path.name} | {found.verdict} {follows} | {effects} | {found.rmse_before:.2f} → "
-            f"{found.rmse_after:.2f} | {structure(fit, found.selection.start)} → "
-            f"{structure(fit, chosen)} |\n"
+            f"| {name or Path(path).name} | {found.verdict} {follows} | {effects} | "
+            f"{found.rmse_before:.2f} → {found.rmse_after:.2f} | "
+            f"{structure(fit, found.selection.start)} → {structure(fit, chosen)} |\n"
         )
         sys.stdout.flush()
 

@@ -17,7 +17,7 @@ import trimesh
 
 from tacgen.core.records import GraspConfig, GraspObject
 from tacgen.core.types import STANDARD_GRAVITY_M_S2
-from tacgen.objects.add import add_object
+from tacgen.objects.add import MeshFacts, add_object
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
 
 MASS_KG = 0.35
@@ -72,7 +72,7 @@ def imported(name: str, angle_rad: float) -> GraspObject:
         solid.export(path)
         # A capsule on its tip would fall; here it is held as it stands.
         own = Path(folder) / "objects"
-        return add_object(path, mass_kg=MASS_KG, into=own, keep_pose=True).object
+        return add_object(path, MeshFacts(MASS_KG, keep_pose=True), into=own).object
 
 
 def holds(

@@ -16,13 +16,13 @@ import numpy as np
 from tacgen.collection.confidence import label_confidence
 from tacgen.collection.gel import gel_patch
 from tacgen.collection.recipe import Recipe
+from tacgen.contact.indenter import Indenter
 from tacgen.contact.law import ContactLaw
 from tacgen.core.records import GraspConfig, GraspObject, GraspTrace
+from tacgen.core.sensors import load_sensor
 from tacgen.diagnose.grasps.slip_margin import closed_form_margin
 from tacgen.objects import load_object
-from tacgen.physics import FrameRequest, GraspSimulator, run_grasp
-from tacgen.sensor.description import load_sensor
-from tacgen.sensor.tactile_pad import Indenter
+from tacgen.physics import FrameRequest, GelModel, GraspSimulator, run_grasp
 
 OBJECTS = (
     *("tomato_soup_can", "potted_meat_can", "sugar_box", "rubiks_cube"),
@@ -46,7 +46,9 @@ class Study:
         """Simulate one grasp on the shipped sensor's gel."""
         patch_of = partial(gel_patch, self.indenter, self.law, obj.surface)
         frames = FrameRequest()
-        return run_grasp(self.simulator, obj, config, SETTINGS, frames=frames, patch_of=patch_of)
+        return run_grasp(
+            self.simulator, obj, config, SETTINGS, frames=frames, gel=GelModel(patch_of)
+        )
 
     def near_border(self, obj: GraspObject) -> GraspConfig | None:
         """A grasp within ``NEAR_LOG`` of its closed form's border; None if it has none."""

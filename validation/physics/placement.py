@@ -13,15 +13,14 @@ from functools import partial
 import numpy as np
 
 from tacgen.collection.gel import SETTLED_PRESS, gel_patch
+from tacgen.contact.gel_response import gel_loads, rounded_pose_and_load
 from tacgen.contact.law import ContactLaw
 from tacgen.core.records import GraspConfig, GraspObject, GraspTrace, Mesh, frozen_array
 from tacgen.core.resources import object_folders
+from tacgen.core.sensors import load_sensor
 from tacgen.core.types import FloatArray, rotation_about_z
 from tacgen.objects import load_object
-from tacgen.optics import load_table
-from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
-from tacgen.sensor.description import load_sensor
-from tacgen.sensor.gel_response import gel_loads, rounded_pose_and_load
+from tacgen.physics import FrameRequest, GelModel, GraspSimulator, PhysicsSettings, run_grasp
 from tacgen.sensor.tactile_pad import TactilePad
 
 GRASPS = 16
@@ -84,7 +83,7 @@ class Study:
     def __init__(self, simulator: GraspSimulator, settings: PhysicsSettings) -> None:
         self.simulator, self.settings = simulator, settings
         sensor, self.law = load_sensor("gelsight"), ContactLaw.default()
-        self.pad = TactilePad(sensor, load_table(sensor.table))
+        self.pad = TactilePad(sensor)
 
     def traces(
         self, obj: GraspObject, config: GraspConfig, placements: Sequence[Placement]
@@ -100,7 +99,7 @@ class Study:
                 placement.of_grasp(config),
                 self.settings,
                 frames=FrameRequest(),
-                patch_of=patch_of,
+                gel=GelModel(patch_of),
             )
             found.append(trace)
         return found

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from tacgen.contact.shear import marker_grid_mm
-from tacgen.sensor.description import load_sensor
+from tacgen.core.sensors import load_sensor
 from validation.shear.ball import BallContact, BallPose, Touch
 from validation.shear.gel_block import Float64, GelBlock, Surface
 

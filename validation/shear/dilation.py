@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize_scalar
 
+from tacgen.contact.gel_shear import DECAY_PER_GEL_DEPTH
 from tacgen.contact.shear import dilation_mm
 from tacgen.contact.shear_field import ShearField
-from tacgen.sensor.gel_shear import DECAY_PER_GEL_DEPTH
 from validation.shear.cases import GRID_MM, State, cases, say, solved
 from validation.shear.gel_block import Float64
 from validation.shear.referee import RIGID_DECAY_PER_MM2, Foundation

@@ -16,10 +16,10 @@ import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from tacgen.contact.gel_shear import DECAY_PER_GEL_DEPTH, GelShear
 from tacgen.contact.shear import dilation_mm, marker_pitch_mm
 from tacgen.contact.shear_field import ShearState
-from tacgen.sensor.description import load_sensor
-from tacgen.sensor.gel_shear import DECAY_PER_GEL_DEPTH, GelShear
+from tacgen.core.sensors import load_sensor
 from validation.shear.cases import FRICTION, GRID_MM, State, cases, mini_markers_mm, say, solved
 from validation.shear.gel_block import Float64
 

@@ -20,13 +20,13 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory) -> Path:
-    return regrasp_world(tmp_path_factory.mktemp("regrasp"))
+def world() -> Path:
+    return regrasp_world()
 
 
 @pytest.fixture(scope="module")
 def result(world):
-    return study(world / "run", load_recipe(world / "small.yaml"), world / "out", FEW)
+    return study(world / "run", load_recipe(world / "small.yaml"), world / "study", FEW)
 
 
 def test_every_policy_is_played_on_the_same_episodes(result):
@@ -50,7 +50,7 @@ def test_every_episode_ends_in_a_lift_that_is_counted(result):
 
 def test_by_touch_is_what_the_command_plays(result, world):
     """On the worlds that the study has simulated."""
-    played = regrasp(world / "run", load_recipe(world / "small.yaml"), world / "out", FEW)
+    played = regrasp(world / "run", load_recipe(world / "small.yaml"), world / "study", FEW)
     of_study = result[0]["policies"]["touch"]
     assert [one["success"] for one in played["by_touch"]] == [
         one["success"]["value"] for one in of_study
@@ -61,12 +61,12 @@ def test_by_touch_is_what_the_command_plays(result, world):
 
 
 def test_the_study_prints_a_line_a_policy(result, world, capsys, monkeypatch):
-    words = [str(world / "run"), str(world / "small.yaml"), "--out", str(world / "out")]
+    words = [str(world / "run"), str(world / "small.yaml"), "--out", str(world / "study")]
     options = ["--episodes", "3", "--worlds", "3", "--regrasps", "2"]
     monkeypatch.setattr("sys.argv", ["validation.regrasp", *words, *options])
     main()
     assert len(capsys.readouterr().out.splitlines()) == 1 + len(POLICIES)
-    assert (world / "out" / "index.html").is_file()
+    assert (world / "study" / "index.html").is_file()
 
 
 def test_the_page_shows_three_episodes(result, tmp_path):

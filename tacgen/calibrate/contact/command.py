@@ -5,8 +5,6 @@ import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from tacgen.calibrate.contact.law_fit import ContactFit, fit_contact, summary_dict, summary_text
 from tacgen.calibrate.contact.marker_fit import FieldFit, field_data, fit_field, load_tracks
 from tacgen.calibrate.contact.rules import RULES
@@ -34,26 +32,56 @@ class ContactCalibration:
     field: FieldFit | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class LogSource:
+    """Where a press log is, and what its reader has to be told.
+
+    ``path`` is a press log with volumes, depths or both, or a folder of press images with forces;
+    of the last, ``table`` turns pictures into volumes. ``radius_mm`` is that of the ball where the
+    log does not say it, ``marker_pitch_mm`` of the dots whose motion it sums. ``markers`` are
+    tracks of the dots of ``sensor``, a CSV file or such a folder.
+    """
+
+    path: Path
+    log_format: LogFormat = PLAIN
+    radius_mm: float | None = None
+    table: Path | None = None
+    marker_pitch_mm: float | None = None
+    markers: Path | None = None
+    sensor: str | None = None
+
+    def read(self, save_log: Path) -> PressLog:
+        """The press log; pictures are measured into ``save_log``.
+
+        Balls of unknown radius have no ``volume_mm3`` yet.
+        """
+        log, found = self.path, None
+        if log.is_dir():
+            log, found = _measure_images(log, self.table, save_log)
+        read = press_log_of(read_log_table(log, self.log_format), radius_mm=self.radius_mm)
+        if found is not None:
+            read = replace(
+                read,
+                warnings=(*found.warnings, *read.warnings),
+                volume_stderr_share=found.volume_stderr_share,
+                marker_pitch_mm=found.marker_pitch_mm,
+            )
+        pitch_mm = self.marker_pitch_mm
+        return read if pitch_mm is None else replace(read, marker_pitch_mm=pitch_mm)
+
+
 def calibrate_contact(
-    log: Path,
+    source: LogSource,
     out: Path,
     report: Path | None = None,
     *,
     by: str | None = None,
     contact_point: str = "auto",
-    log_format: LogFormat = PLAIN,
-    marker_pitch_mm: float = np.nan,
-    radius_mm: float | None = None,
-    table: Path | None = None,
-    markers: Path | None = None,
-    sensor: str | None = None,
 ) -> ContactCalibration:
-    """Fit ``log``, write the law to ``out`` and, where asked for, a page into ``report``.
+    """Fit a press log, write the law to ``out`` and, where asked for, a page into ``report``.
 
-    ``log`` is a press log with volumes, depths or both, or a folder of press images with
-    forces; of the last, ``table`` turns pictures into volumes, and the log is kept beside the law.
-    ``markers`` are tracks of the dots of ``sensor``, a CSV file or such a folder: they give k_s,
-    friction and decay of the shear field.
+    A log that is measured in images is kept beside the law. Marker tracks give k_s, friction and
+    decay of the shear field.
 
     Raises ``PressError`` if the log cannot be used or an option is not known.
     """
@@ -63,18 +91,11 @@ def calibrate_contact(
         raise PressError(msg)
     if report is not None:
         refuse_other_page(Path(report) / "index.html", "calibrate contact")
-    read = read_contact_log(
-        Path(log),
-        log_format,
-        radius_mm=radius_mm,
-        table=table,
-        marker_pitch_mm=marker_pitch_mm,
-        save_log=Path(out).with_suffix(".csv"),
-    )
+    read = source.read(Path(out).with_suffix(".csv"))
     fit = fit_contact(read, by=by, free_contact_point=CONTACT_POINTS[contact_point])
     law, field, data = fit.law, None, None
-    if markers is not None:
-        gel, tracks = load_tracks(markers, sensor, fit.log)
+    if source.markers is not None:
+        gel, tracks = load_tracks(source.markers, source.sensor, fit.log)
         data = field_data(tracks, gel, law.k_n_mm3_per_n.value)
         field = fit_field(data, law.k_s_mm_per_n if fit.shear else None)
         fit = replace(fit, warnings=(*fit.warnings, *tracks.warnings))
@@ -95,33 +116,6 @@ def calibrate_contact(
 
         write_report(fit, report, field, data)
     return ContactCalibration(fit, law, fit.warnings, field)
-
-
-def read_contact_log(
-    log: Path,
-    log_format: LogFormat,
-    *,
-    radius_mm: float | None = None,
-    table: Path | None = None,
-    marker_pitch_mm: float = np.nan,
-    save_log: Path,
-) -> PressLog:
-    """The press log in a table of forces with volumes or depths, or in a folder of images.
-
-    Pictures are measured into ``save_log``. Balls of unknown radius have no ``volume_mm3`` yet.
-    """
-    found = None
-    if log.is_dir():
-        log, found = _measure_images(log, table, save_log)
-    read = press_log_of(read_log_table(log, log_format), radius_mm=radius_mm)
-    if found is not None:
-        read = replace(
-            read,
-            warnings=(*found.warnings, *read.warnings),
-            volume_stderr_share=found.volume_stderr_share,
-            marker_pitch_mm=found.marker_pitch_mm,
-        )
-    return read if np.isnan(marker_pitch_mm) else replace(read, marker_pitch_mm=marker_pitch_mm)
 
 
 def _measure_images(folder: Path, table: Path | None, log: Path) -> tuple[Path, MeasuredLog]:

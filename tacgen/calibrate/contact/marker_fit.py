@@ -16,11 +16,12 @@ from scipy.optimize import least_squares
 
 from tacgen.calibrate.contact.rules import FIELD
 from tacgen.calibrate.contact.slope_fit import clustered, widened
+from tacgen.contact.ball_shear import STICKS, BallShear, Place
 from tacgen.contact.noise import noise_of, second_differences
 from tacgen.core.errors import PressError
 from tacgen.core.records import Estimate, Sensor
+from tacgen.core.sensors import load_sensor
 from tacgen.core.types import BoolArray, FloatArray, IntArray
-from tacgen.presses.ball_shear import STICKS, BallShear, Place
 from tacgen.presses.marker_tracks import (
     AT_REST,
     AXES,
@@ -31,7 +32,6 @@ from tacgen.presses.marker_tracks import (
 from tacgen.presses.press_folder import WITH_FORCES, read_press_folder
 from tacgen.presses.press_log import PressLog
 from tacgen.report.figures import arrows
-from tacgen.sensor.description import load_sensor
 
 PLACE_NAMES = ("place_x", "place_y", "place_radius", "place_slip")
 BOUNDS = {

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tacgen.contact.gel import gel_size_mm
-from tacgen.contact.law import ContactLaw
+from tacgen.contact.law import ContactLaw, load_law
 from tacgen.contact.raster import dome_mm
 from tacgen.core.errors import ContactError
 from tacgen.core.files import atomic_folder, write_text
@@ -68,7 +68,7 @@ class PinPad:
         )
 
 
-def export_mujoco(law: ContactLaw, sensor: Sensor, out: Path) -> PinPad:
+def export_mujoco(law: ContactLaw | Path, sensor: Sensor, out: Path) -> PinPad:
     """Write ``pad.xml``: a body ``pad`` in the gel frame of ``sensor``, in metres.
 
     It covers the whole gel, dome included; a pin moves by up to the gel's thickness. The volume
@@ -78,11 +78,12 @@ def export_mujoco(law: ContactLaw, sensor: Sensor, out: Path) -> PinPad:
     is for MuJoCo's default cone, pyramidal with ``impratio`` 1, in which an object held between two
     pads trembles by up to 0.1 mm; others make it worse.
 
-    Raises ``ContactError`` if the law gives no volume.
+    Raises ``ContactError`` if the law, or the file of one, cannot be read or gives no volume.
 
     Source: Winkler's foundation, K. L. Johnson 1985, Contact Mechanics, 4.3; MuJoCo's
     documentation, Computation, for the softness of contacts.
     """
+    law = law if isinstance(law, ContactLaw) else load_law(law)
     if law.law != "volume_linear":
         msg = f"the law is {law.law}, which gives no volume; a pad of pins needs volume_linear"
         raise ContactError(msg)

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from tacgen.calibrate.lookup.settings import RULES, BackgroundRecipe
 from tacgen.calibrate.lookup.smooth_model import position_features
-from tacgen.core.types import BoolArray, FloatArray, IntArray
+from tacgen.core.types import BoolArray, FloatArray, IntArray, Window
 from tacgen.optics.dots import coarse, filled_in
-from tacgen.optics.smooth import Window
 from tacgen.optics.table import features
 from tacgen.presses.experiments import per_experiment
 from tacgen.presses.press_images import PressImages, label_mm, place_mm

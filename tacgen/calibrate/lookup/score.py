@@ -14,10 +14,11 @@ from tacgen.calibrate.lookup import press_fit
 from tacgen.calibrate.lookup.prepared import Pixels, disc_pixels
 from tacgen.calibrate.lookup.settings import RULES
 from tacgen.core.errors import PressError
-from tacgen.core.types import FloatArray, IntArray
+from tacgen.core.types import FloatArray, IntArray, Window
+from tacgen.optics.effects import Stage, optical_effects
 from tacgen.optics.reconstruct import Reconstructor
 from tacgen.optics.render import Effects, Shader
-from tacgen.optics.smooth import Window, grown
+from tacgen.optics.smooth import grown
 from tacgen.optics.table import LookupTable
 from tacgen.presses.geometry import rest_height
 from tacgen.presses.press_images import PressImages, label_mm, place_mm
@@ -113,6 +114,7 @@ class PressRenderer:
     def __init__(self, table: LookupTable, press_model: press_fit.PressModel) -> None:
         self.table, self.model = table, press_model
         self._shaders = {repr(table.effects): Shader(table)}
+        self._lit = dict[tuple[Any, ...], tuple[NDArray[np.float32], NDArray[np.float32]]]()
         self._height_mm = np.zeros(table.shape_px, dtype=np.float32)
         self._image = np.zeros((*table.shape_px, 3), dtype=np.float32)
 
@@ -159,11 +161,26 @@ class PressRenderer:
         depth_mm = ball_radius_mm - math.sqrt(max(ball_radius_mm**2 - geometry[2] ** 2, 0.0))
         shape = self.table.shape_px
         window = grown(window, shader.image_reach_px(depth_mm) + RULES.margin_px, shape)
-        top, bottom, left, right = grown(window, shader.slope_reach_px, shape)
-        rows, columns = np.arange(top, bottom, dtype=float), np.arange(left, right, dtype=float)
-        x_mm, y_mm = place_mm(columns, rows[:, None], shape, self.table.mm_per_px)
-        self._height_mm[top:bottom, left:right] = model.height(geometry, ball_radius_mm, x_mm, y_mm)
-        shader.light(self._height_mm, window, self._image)
+        rows, columns = slice(*window[:2]), slice(*window[2:])
+        surface = {
+            effect.name: effects[effect.name]
+            for effect in optical_effects(Stage.SURFACE, Stage.SURFACE)
+            if effect.name in effects
+        }
+        key = (window, geometry.tobytes(), ball_radius_mm, model.membrane, repr(surface))
+        if key not in self._lit:
+            top, bottom, left, right = grown(window, shader.slope_reach_px, shape)
+            y, x = np.arange(top, bottom, dtype=float), np.arange(left, right, dtype=float)
+            height_mm = model.height(
+                geometry, ball_radius_mm, *place_mm(x, y[:, None], shape, self.table.mm_per_px)
+            )
+            self._height_mm[top:bottom, left:right] = height_mm
+            shader.light(self._height_mm, window, self._image)
+            lit = self._height_mm[rows, columns].copy(), self._image[rows, columns].copy()
+            # A fit goes through values of an effect at the place of a press and of its label.
+            self._lit = {**dict(list(self._lit.items())[-1:]), key: lit}
+        else:
+            self._height_mm[rows, columns], self._image[rows, columns] = self._lit[key]
         shader.finish(self._height_mm, window, self._image)
 
     def _shader(self, effects: Effects) -> Shader:

@@ -23,10 +23,11 @@ from numpy.typing import NDArray
 
 from tacgen.core.errors import DatasetError, require_extra
 from tacgen.core.images import encode_png
+from tacgen.core.records import AXES
 from tacgen.dataset.export import arrays_of, camera_facts, origin, write_camera_facts
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample, frame_columns, frame_flags
-from tacgen.dataset.schema import ACTION, FLAG_FIELDS, REST, SPLITS, STATE_FIELDS
+from tacgen.dataset.schema import FLAG_FIELDS, REST, SPLITS, STATE_FIELDS
 
 require_extra("parquet", "--format lerobot needs", DatasetError)
 import pyarrow as pa  # noqa: E402
@@ -103,7 +104,7 @@ def _features(dataset: Dataset) -> dict[str, dict[str, Any]]:
     vectors = {
         "observation.state": [prefix + name for prefix in prefixes for name in CONTACT_STATE],
         "observation.environment_state": list(POSE),
-        "action": list(ACTION),
+        "action": list(AXES),
     }
     shape, names = [*dataset.shape_px, 3], ["height", "width", "channels"]
     image = {"dtype": "image", "shape": shape, "names": names}
@@ -274,7 +275,7 @@ class _Export:
         n_frames, pads = self.dataset.n_frames, sample.pads.items()
         contact = [np.column_stack(list(frame_columns(pad).values())) for _, pad in pads]
         last = np.arange(n_frames) == n_frames - 1
-        asked = [getattr(sample.config, name) for name in ACTION]
+        asked = [getattr(sample.config, name) for name in AXES]
         prefixes = _prefixes(self.dataset)
         flags = {
             prefixes[name] + flag: held

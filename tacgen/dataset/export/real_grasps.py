@@ -15,11 +15,12 @@ import pandas as pd
 
 from tacgen.core.files import write_text
 from tacgen.core.images import encode_png
+from tacgen.core.records import AXES
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.real_grasps import ABOUT, BACKGROUND, FRAME_UNKNOWN, FRAMES
 
 NOTE = "Simulated by tacgen, written in the format of real grasps. Not real."
-COLUMNS = ("object", "force_n", "x_mm", "y_mm", "z_mm", "yaw_rad", "label", "failure_mode")
+COLUMNS = ("object", *AXES, "label", "failure_mode")
 
 
 def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path, *, images: bool = True) -> str:

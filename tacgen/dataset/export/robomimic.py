@@ -25,12 +25,12 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from tacgen.core.files import DiskFile
-from tacgen.core.records import LABEL_SUCCESS
+from tacgen.core.records import AXES, LABEL_SUCCESS
 from tacgen.core.types import FloatArray
 from tacgen.dataset.export import arrays_of, camera_facts
 from tacgen.dataset.reader import Dataset
 from tacgen.dataset.samples import GraspSample
-from tacgen.dataset.schema import ACTION, Field
+from tacgen.dataset.schema import Field
 
 FILE = "grasps.hdf5"
 VALID_FRACTION = 0.1  # of the training grasps of each outcome, rounded up; never all of them
@@ -43,7 +43,7 @@ def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
     yaw_rad, each scaled from its range over the grasps to [−1, 1]. The reward of the last frame is
     the label.
     """
-    configurations = grasps[list(ACTION)].to_numpy(np.float64)
+    configurations = grasps[list(AXES)].to_numpy(np.float64)
     low, high = configurations.min(axis=0), configurations.max(axis=0)
     actions = _scaled(configurations, low, high)
     with DiskFile(folder / FILE) as disk, h5py.File(disk, "w") as file:
@@ -66,7 +66,7 @@ def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:
                 data.attrs[f"{pad}_marker_rest_mm"] = dataset.marker_rest_mm(pad)
         for one in dataset.cameras.values():
             data.attrs[f"camera_{one.name}"] = json.dumps(camera_facts(one))
-        data.attrs.update({"action_names": list(ACTION), "action_low": low, "action_high": high})
+        data.attrs.update({"action_names": list(AXES), "action_low": low, "action_high": high})
         # robomimic builds its environment from these; type 2 is its general (gym) one.
         about = {"env_name": "tacgen", "type": 2, "env_kwargs": {"sensor": dataset.sensor}}
         data.attrs["env_args"] = json.dumps(about)

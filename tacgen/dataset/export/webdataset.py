@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 
 from tacgen.core.images import encode_png
+from tacgen.core.records import AXES
 from tacgen.dataset.export import arrays_of, camera_facts
 from tacgen.dataset.export.real_grasps import grasp_id
 from tacgen.dataset.reader import Dataset
@@ -23,7 +24,7 @@ from tacgen.dataset.samples import GraspSample
 
 GRASPS_PER_TAR = 1000
 """At 4 images of 100 kB a grasp about 400 MB, WebDataset's recommended order of size."""
-COLUMNS = ("object", "force_n", "x_mm", "y_mm", "z_mm", "yaw_rad", "label", "failure_mode", "split")
+COLUMNS = ("object", *AXES, "label", "failure_mode", "split")
 
 
 def write(dataset: Dataset, grasps: pd.DataFrame, folder: Path) -> str:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from tacgen.calibrate.contact.align import align, without_zero
-from tacgen.calibrate.contact.command import read_contact_log
+from tacgen.calibrate.contact.command import LogSource
 from tacgen.calibrate.contact.law_fit import linear_slope
 from tacgen.calibrate.contact.marker_fit import load_tracks
 from tacgen.contact.effects import CHANNELS, Channel
@@ -32,29 +32,18 @@ from tacgen.diagnose.evidence import Dependence, gain_interval_95
 from tacgen.diagnose.markers.diagnose import diagnose_markers
 from tacgen.diagnose.record import write_record
 from tacgen.diagnose.rules import CONTACT, ContactRules
-from tacgen.presses.lab_table import LogFormat
-from tacgen.presses.press_log import PLAIN, SHEAR_FORCES, Columns
+from tacgen.presses.press_log import SHEAR_FORCES, Columns
 
 SEED = 20220804  # any; results are repeatable
 FORCES: dict[Channel, tuple[str, ...]] = {"normal": ("force_normal_n",), "shear": SHEAR_FORCES}
 HELD_OUT = "a quarter of the trials, spread over the session, selection repeated without them"
 
 
-def diagnose_log(
-    path: Path,
-    out: Path,
-    *,
-    marker_pitch_mm: float = float("nan"),
-    log_format: LogFormat = PLAIN,
-    radius_mm: float | None = None,
-    table: Path | None = None,
-    markers: Path | None = None,
-    sensor: str | None = None,
-) -> result.Diagnosis:
-    """Diagnose the press log at ``path``; write diagnosis.json, contact.yaml and report.html.
+def diagnose_log(source: LogSource, out: Path) -> result.Diagnosis:
+    """Diagnose a press log; write diagnosis.json, contact.yaml and report.html.
 
-    All that ``calibrate_contact`` reads is read: volumes, depths, images with forces, and
-    ``markers``, tracks of the dots of ``sensor``, whose field is then a channel of its own.
+    All that ``calibrate_contact`` reads is read; the field of marker tracks is a channel of its
+    own.
 
     Raises ``PressError`` if the log cannot be used; the message says what and where.
     """
@@ -62,15 +51,8 @@ def diagnose_log(
 
     for page in ("report.html", "grasp.html"):
         refuse_other_page(out / page, "diagnose contact")
-    log = read_contact_log(
-        path,
-        log_format,
-        radius_mm=radius_mm,
-        table=table,
-        marker_pitch_mm=marker_pitch_mm,
-        save_log=out / "press_log.csv",
-    )
-    log, _ = align(log)
+    path = source.path
+    log, _ = align(source.read(out / "press_log.csv"))
     # A depth that the volume was computed from is no condition that it may follow.
     columns = {name: values for name, values in log.columns.items() if name != "depth_mm"}
     diagnosis = diagnose(
@@ -81,8 +63,8 @@ def diagnose_log(
     )
     provenance = {"data_sha256": {path.name: log.sha256}, **diagnosis.law.provenance}
     law = replace(diagnosis.law, marker_pitch_mm=log.marker_pitch_mm, provenance=provenance)
-    if markers is not None:
-        known, tracks = load_tracks(markers, sensor, without_zero(log))
+    if source.markers is not None:
+        known, tracks = load_tracks(source.markers, source.sensor, without_zero(log))
         found = diagnose_markers(tracks, known, law.k_n_mm3_per_n.value)
         notes = (*diagnosis.notes, *tracks.warnings)
         diagnosis = replace(diagnosis, notes=notes, markers=found)

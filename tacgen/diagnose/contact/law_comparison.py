@@ -4,18 +4,19 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe
 from tacgen.contact import ContactLaw
+from tacgen.contact.indenter import Imprint
 from tacgen.core.errors import RecipeError
 from tacgen.core.images import difference, evenly, side_by_side
 from tacgen.core.records import ContactFrame
 from tacgen.report import figures as plots
 from tacgen.report.formatting import number
 from tacgen.report.page import PageSection, figure_section, pictures_section, write_page
-from tacgen.sensor.tactile_pad import TactileFrame
 
 STRIP_FRAMES = 6  # what a page's width holds
 THUMBNAIL_WIDTH_PX = 170  # six fit into a page's width
@@ -40,7 +41,7 @@ def write_law_comparison(recipe: Recipe, before: ContactLaw, after: ContactLaw, 
             raise RecipeError(msg)
         pad, frames = next(iter(grasp.trace.frames.items()))
         laws = {"before": before, "after": after}
-        rendered = {name: pipeline.render(grasp, pad, law=law)[1] for name, law in laws.items()}
+        rendered = {name: pipeline.render(grasp, pad, law=law) for name, law in laws.items()}
     sections = [_strips(rendered), _curves(frames, rendered)]
     write_page(
         path,
@@ -51,23 +52,27 @@ def write_law_comparison(recipe: Recipe, before: ContactLaw, after: ContactLaw, 
     )
 
 
-def _curves(frames: Sequence[ContactFrame], rendered: dict[str, list[TactileFrame]]) -> PageSection:
+Rendered = tuple[NDArray[np.uint8], list[Imprint]]
+"""Images (T, H, W, 3) of a grasp, and what they show."""
+
+
+def _curves(frames: Sequence[ContactFrame], rendered: dict[str, Rendered]) -> PageSection:
     figure, grid = plots.new_figure(10, 3, 1, 2)
     force, volume = grid[0]
     times_s = [frame.time_s for frame in frames]
     force.plot(times_s, [frame.force_normal_n for frame in frames], color=plots.INK)
     force.set(xlabel="time, s", ylabel="normal force, N")
     for name, color in (("before", plots.MUTED), ("after", plots.ACCENT)):
-        volumes = [one.imprint.volume_mm3 for one in rendered[name]]
+        volumes = [one.volume_mm3 for one in rendered[name][1]]
         volume.plot(times_s, volumes, color=color, label=name)
     volume.set(xlabel="time, s", ylabel="imprint volume, mm³")
     volume.legend(frameon=False)
     return figure_section("Force and imprint volume", figure)
 
 
-def _strips(rendered: dict[str, list[TactileFrame]]) -> PageSection:
-    chosen = evenly(len(rendered["before"]), STRIP_FRAMES)
-    before, after = ([rendered[name][k].rgb for k in chosen] for name in ("before", "after"))
+def _strips(rendered: dict[str, Rendered]) -> PageSection:
+    chosen = list(evenly(len(rendered["before"][0]), STRIP_FRAMES))
+    before, after = (list(rendered[name][0][chosen]) for name in ("before", "after"))
     changes = [
         difference(new, old, DIFFERENCE_GAIN) for new, old in zip(after, before, strict=True)
     ]
@@ -76,12 +81,11 @@ def _strips(rendered: dict[str, list[TactileFrame]]) -> PageSection:
     return pictures_section("Images from the start of closing to the end", strips)
 
 
-def _summary(rendered: dict[str, list[TactileFrame]]) -> str:
+def _summary(rendered: dict[str, Rendered]) -> str:
     before, after = (
-        np.array([one.imprint.volume_mm3 for one in rendered[name]]) for name in ("before", "after")
+        np.array([one.volume_mm3 for one in rendered[name][1]]) for name in ("before", "after")
     )
-    pairs = zip(rendered["after"], rendered["before"], strict=True)
-    grey = np.mean([np.abs(a.rgb.astype(int) - b.rgb).mean() for a, b in pairs])
+    grey = np.abs(rendered["after"][0].astype(int) - rendered["before"][0]).mean()
     most = int(np.argmax(np.abs(after - before)))
     return (
         f"The imprint differs most at frame {most + 1}: {number(after[most], 3)} mm³ instead of "

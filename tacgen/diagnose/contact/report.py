@@ -43,7 +43,7 @@ def write_report(diagnosis: Diagnosis, path: Path, *, title: str) -> None:
             for name, found in diagnosis.channels.items()
         },
         residuals={
-            name: _residual_figure(channels[name], found)
+            name: residual_figure(channels[name], found)
             for name, found in diagnosis.channels.items()
         },
         arrows=None
@@ -58,7 +58,7 @@ def _floor(channel: Mapping[str, Any]) -> float | None:
     return 100 * floor * error["nrmse"] / error["rmse"] if floor and error["rmse"] else None
 
 
-def _residual_figure(channel: Mapping[str, Any], found: ChannelDiagnosis) -> Figure:
+def residual_figure(channel: Mapping[str, Any], found: ChannelDiagnosis) -> Figure:
     """Residuals before and after over numeric covariates and those with names for levels."""
     covariates = {
         name: values

@@ -160,8 +160,10 @@ def _channel(found: ChannelDiagnosis) -> dict[str, Any]:
             if one.candidate.is_effect
         ],
         unexplained=[_unexplained(found, d) for d in found.unexplained],
-        error_before=record.error(found.before.rmse, found.scale, unit),
-        error_after=record.error(found.after.rmse, found.scale, unit),
+        errors=(
+            record.error(found.before.rmse, found.scale, unit),
+            record.error(found.after.rmse, found.scale, unit),
+        ),
         noise_floor=(
             found.floor,
             "second differences, over 1 to 8 samples of a trial, of the law's residual",

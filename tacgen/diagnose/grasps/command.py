@@ -13,6 +13,7 @@ from tacgen.collection import perturbed
 from tacgen.collection.inputs import recipe_inputs
 from tacgen.collection.recipe import Recipe
 from tacgen.core.files import refuse_foreign, refuse_other_page, sha256_of, write_text
+from tacgen.core.records import AXES
 from tacgen.core.types import FloatArray, IntArray
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.diagnose.grasps.force_from_images import force_from_images
@@ -38,7 +39,7 @@ from tacgen.diagnose.grasps.result import GraspDiagnosis, diagnose_labels, diagn
 from tacgen.diagnose.record import write_record
 from tacgen.diagnose.rules import GRASPS
 
-PLACE = ("object", "force_n", "x_mm", "y_mm", "z_mm", "yaw_rad")
+PLACE = ("object", *AXES)
 _KNOWN_MODE = {"rotational_slip": TURNED, "translational_slip": SLID}
 
 
@@ -89,10 +90,10 @@ def diagnose_grasps(
         found,
         before,
         _covariates(real.grasps),
-        _notes(recipe, real, simulations.outcomes(DECLARED)),
         rng,
-        reading=about,
     )
+    notes = tuple(_notes(recipe, real, simulations.outcomes(DECLARED)))
+    diagnosis = replace(diagnosis, notes=notes, reading=about)
     findings = GraspFindings(
         diagnosis,
         after,

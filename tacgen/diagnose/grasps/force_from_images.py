@@ -24,7 +24,6 @@ from tacgen.core.types import FloatArray
 from tacgen.dataset.real_grasps import FRAME_UNKNOWN, RealGrasp, RealGrasps
 from tacgen.diagnose.grasps.model_comparison import NO_READING, ForceReading
 from tacgen.diagnose.rules import GRASPS
-from tacgen.sensor.tactile_pad import Imprint
 
 Image = NDArray[np.uint8]
 
@@ -74,7 +73,7 @@ def imprint_strengths(
     simulated = np.full((len(grasps), len(GRASPS.image_forces)), np.nan)
     for column, factor in enumerate(GRASPS.image_forces):
         world = _at_force(recipe, grasps, factor)
-        untouched = tactile_pad(world).image(Imprint())
+        untouched = tactile_pad(world).at_rest_rgb
         names = [entry.object_name for entry in world.objects]
         with GraspPipeline(world) as pipeline:
             for row, grasp in enumerate(grasps):

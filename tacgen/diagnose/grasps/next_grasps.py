@@ -6,7 +6,6 @@ import numpy as np
 from scipy.special import expit
 
 from tacgen.collection.grid import plan_recipe
-from tacgen.collection.perturbed import place_of
 from tacgen.core.records import GraspConfig
 from tacgen.diagnose.grasps.hypotheses import Prediction
 from tacgen.diagnose.grasps.model_comparison import Cause, Explanation, Posterior
@@ -92,7 +91,7 @@ def propose_grasps(simulations: PerturbedSimulations, competing: Competing) -> t
         success = {}
         for name, causes in competing.items():
             change = combined_perturbation(causes, config.object)
-            outcome = simulations.known[place_of(config), change]
+            outcome = simulations.known[config.point, change]
             margin, _ = margins_of([outcome])
             expected = float(expit(margin[0] / GRASPS.proposal_width))
             success[name] = expected if outcome.label >= 0 else 0.5
@@ -104,8 +103,8 @@ def propose_grasps(simulations: PerturbedSimulations, competing: Competing) -> t
 
 def _considered(simulations: PerturbedSimulations) -> list[GraspConfig]:
     """A part of the recipe's grid, evenly over its objects, drawn with the recipe's seed."""
-    made = {place_of(config) for config in simulations.configs}
-    open_to = [g.config for g in plan_recipe(simulations.recipe) if place_of(g.config) not in made]
+    made = {config.point for config in simulations.configs}
+    open_to = [g.config for g in plan_recipe(simulations.recipe) if g.config.point not in made]
     rng = np.random.default_rng(np.random.SeedSequence(simulations.recipe.seed, spawn_key=(0x6E,)))
     names = dict.fromkeys(config.object for config in open_to)
     chosen: list[GraspConfig] = []

@@ -17,7 +17,6 @@ from tacgen.collection.perturbed import (
     OutcomeKey,
     Perturbation,
     perturbed_settings,
-    place_of,
     recipe_object,
     simulate_perturbed,
 )
@@ -87,12 +86,12 @@ class PerturbedSimulations:
 
     def outcomes(self, change: Perturbation) -> list[Outcome]:
         """The outcome of every grasp under a perturbation that was simulated."""
-        return [self.known[place_of(config), change] for config in self.configs]
+        return [self.known[config.point, change] for config in self.configs]
 
     def labels(self, changes: Mapping[str, Perturbation]) -> IntArray:
         """Simulated labels (N,), each grasp under the perturbation of its object."""
         self.simulate([(config, changes[config.object]) for config in self.configs])
-        found = [self.known[place_of(c), changes[c.object]].label for c in self.configs]
+        found = [self.known[c.point, changes[c.object]].label for c in self.configs]
         return np.array(found, dtype=np.int64)
 
     def comparison(self) -> ModelComparison:
@@ -122,7 +121,7 @@ class PerturbedSimulations:
         for places, changes in together:
             margin = np.full(len(self.configs), np.nan)
             for n, change in changes.items():
-                margin[n] = margins_of([self.known[place_of(self.configs[n]), change]])[0][0]
+                margin[n] = margins_of([self.known[self.configs[n].point, change]])[0][0]
             self.joint[frozenset(places)] = JointOutcome(places, margin)
         return self._comparison()
 
@@ -232,7 +231,7 @@ class PerturbedSimulations:
         acting = [n for n, c in enumerate(self.configs) if c.object in candidate.objects]
         for k, node in enumerate(nodes):
             change = parameter.perturb(float(node))
-            keys = {n: (place_of(self.configs[n]), change) for n in acting}
+            keys = {n: (self.configs[n].point, change) for n in acting}
             own = [n for n, key in keys.items() if key in self.known]
             outcomes = [self.known[keys[n]] for n in own]
             margin[k, own], turning[k, own] = margins_of(outcomes)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from tacgen.calibrate.friction.report import grasp_places
+from tacgen.collection.friction_report import grasp_places
 from tacgen.core.types import IntArray
 from tacgen.dataset.real_grasps import RealGrasps
 from tacgen.report import figures as plots

@@ -1,6 +1,6 @@
 """The diagnosis of real grasp labels, and how it stands in ``diagnosis.json``."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,7 +42,7 @@ class GraspDiagnosis:
     heldout: IntArray
     final: IntArray
     dependences: tuple[Dependence, ...]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
     reading: str = ""
 
     @property
@@ -216,10 +216,7 @@ def diagnose_labels(
     posterior: Posterior,
     simulated: IntArray,
     covariates: Mapping[str, FloatArray],
-    notes: Sequence[str],
     rng: np.random.Generator,
-    *,
-    reading: str = "",
 ) -> GraspDiagnosis:
     """Predict held-out grasps, and look for what the remaining mislabels follow.
 
@@ -241,9 +238,7 @@ def diagnose_labels(
     dependences = followed_by_rank(
         real.astype(np.float64), covariates, sides, GRASPS.dependence_p, GRASPS.shuffles, rng
     )
-    return GraspDiagnosis(
-        posterior, real, simulated, heldout, final, dependences, tuple(notes), reading
-    )
+    return GraspDiagnosis(posterior, real, simulated, heldout, final, dependences)
 
 
 def _folds(real: IntArray, rng: np.random.Generator) -> IntArray:
@@ -268,8 +263,7 @@ def diagnosis_record(
         diagnosis,
         effects=[_effect(diagnosis, cause, declared) for cause in diagnosis.found],
         unexplained=[{"covariate": d.covariate, "p_value": d.p_value} for d in remaining],
-        error_before=_error(diagnosis.rate_before, n),
-        error_after=_error(diagnosis.rate_after, n),
+        errors=(_error(diagnosis.rate_before, n), _error(diagnosis.rate_after, n)),
         noise_floor=(
             diagnosis.n_remaining / n,
             "labels that the simulation does not reproduce with the values found",

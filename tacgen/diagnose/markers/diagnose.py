@@ -116,8 +116,10 @@ class MarkerDiagnosis(record.Summarised):
             unexplained=[
                 {"covariate": one.covariate, "p_value": one.p_value} for one in self.unexplained
             ],
-            error_before=record.error(self.before_mm, self.motion_mm, "mm"),
-            error_after=record.error(self.after_mm, self.motion_mm, "mm"),
+            errors=(
+                record.error(self.before_mm, self.motion_mm, "mm"),
+                record.error(self.after_mm, self.motion_mm, "mm"),
+            ),
             noise_floor=(
                 self.data.noise_mm,
                 "second differences of a dot's place over the frames of a press",

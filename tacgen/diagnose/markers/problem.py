@@ -12,11 +12,12 @@ from math import inf
 import numpy as np
 
 from tacgen.calibrate.contact.marker_fit import PLACE_NAMES, FieldData, Slip, fit_slip
+from tacgen.contact.ball_shear import Place
+from tacgen.contact.shear import turned
 from tacgen.core.types import FloatArray
 from tacgen.diagnose.engine import Problem
 from tacgen.diagnose.rules import MarkerRules
-from tacgen.presses.ball_shear import Place
-from tacgen.presses.marker_tracks import AT_REST, MarkerTracks, rigid_fit, turned
+from tacgen.presses.marker_tracks import AT_REST, MarkerTracks, rigid_fit
 
 PARTIAL_SLIP, PLACE, TURNED, SHIFTED = (
     "partial_slip",

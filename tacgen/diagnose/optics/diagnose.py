@@ -146,8 +146,7 @@ class OpticsDiagnosis(record.Summarised):
                 {"covariate": one.covariate, "p_value": one.p_value, "gain_grey": one.gain}
                 for one in self.unexplained
             ],
-            error_before=self._error(self.before),
-            error_after=self._error(self.after),
+            errors=(self._error(self.before), self._error(self.after)),
             noise_floor=(
                 self.noise_floor,
                 "second differences of neighbouring pixels: the camera's noise alone",

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.stats import t as student
@@ -92,16 +93,21 @@ class Selection:
 
     @property
     def added(self) -> list[tuple[Scored, Scored, Scored | None]]:
-        """Before and after each step that found an effect, and the best one of another effect."""
-        return [
-            (
-                step.current,
-                step.found,
-                next((one for one in step.tried if one.name != step.found.name), None),
-            )
-            for step in self.steps
-            if step.found is not None
-        ]
+        """Before and after each effect that was found, and the best one of another effect.
+
+        Of a pair the first comes before the second.
+        """
+        added = list[tuple[Scored, Scored, Scored | None]]()
+        for step in self.steps:
+            if step.found is None:
+                continue
+            n_pending = len(step.found.members) - len(step.current.members)
+            first = [one for one in step.tried if one.members == step.found.members[:-1]]
+            path = [step.current, *first[: n_pending - 1], step.found]
+            names = [one.name for one in path[1:]]
+            second = next((one for one in step.tried if one.name not in names), None)
+            added += [(*pair, second) for pair in pairwise(path)]
+        return added
 
     @property
     def chosen(self) -> Model:
@@ -139,11 +145,16 @@ class PressProblem(Problem[OpticalCandidate, Scored]):
             for candidate in effect.candidates(scene)
             if _kind(candidate) == kind
         ]
+        self._fitted: dict[tuple[int, ...], Scored] = {}
+        self._n_accepted = 0
         self._before: tuple[Model, list[FloatArray]] | None = None
 
     def unchanged(self, model: Model) -> Scored:
         """A model whose errors are compared with."""
-        return Scored(model, self._fit.mean_squares(self._residuals(model)), self._known)
+        self._n_accepted = len(model.candidates)
+        start = Scored(model, self._fit.mean_squares(self._residuals(model)), self._known)
+        self._fitted = {_key(start): start}
+        return start
 
     def _residuals(self, model: Model) -> list[FloatArray]:
         if self._before is None or self._before[0] is not model:
@@ -151,19 +162,32 @@ class PressProblem(Problem[OpticalCandidate, Scored]):
         return self._before[1]
 
     def pool(self, current: Scored) -> list[tuple[OpticalCandidate, float]]:
-        """Those of effects that the model has not got of this kind."""
+        """Those of effects that the model has not got of this kind.
+
+        Beside one that is not accepted yet, only rigid ones if that is rigid: those hide each
+        other.
+        """
         taken = {one.effect for one in current.members if _kind(one) == self._kind}
-        return [(one, math.inf) for one in self.listed if one.effect not in taken]
+        listed = [(one, math.inf) for one in self.listed if one.effect not in taken]
+        if pending := current.members[self._n_accepted :]:
+            listed = [one for one in listed if one[0].rigid and pending[-1].rigid]
+        return listed
 
     def add(self, current: Scored, more: Sequence[OpticalCandidate]) -> Scored:
         """Fit one candidate more, from the start that fits best."""
         (candidate,), fit, known, model = more, self._fit, self._known, current.model
-        before = self._residuals(model)
+        self._residuals(model)
         starts = [_with(model, candidate, start) for start in candidate.starts]
         if len(starts) > 1:
             starts = [min(starts, key=lambda one: typical(fit.squares(one, known)))]
-        fitted = fit.fitted(starts[0], known)
-        after = fit.residuals(fitted, known)
+        scored = self._beside(model, fit.fitted(starts[0], known), candidate)
+        self._fitted[_key(scored)] = scored
+        return scored
+
+    def _beside(self, model: Model, fitted: Model, candidate: OpticalCandidate) -> Scored:
+        """A fitted model with what ``candidate`` gains beside ``model``, which is without it."""
+        fit, known = self._fit, self._known
+        before, after = self._residuals(model), fit.residuals(fitted, known)
         if known == Known.PLACE and candidate.each:
             places = fit.own_values(model, known)
             apart = ((places - places.mean(axis=0)) ** 2).mean(axis=1)
@@ -173,19 +197,24 @@ class PressProblem(Problem[OpticalCandidate, Scored]):
         squares = fit.mean_squares(after)
         gain, error = log_gain(fit.mean_squares(before), squares)
         chance = _chance(fit.by_press(evidence), fit.rules.table_presses)
-        return Scored(fitted, squares, known, gain, error, chance, len(self.pool(current)))
+        among = sum(one.effect not in {m.effect for m in model.candidates} for one in self.listed)
+        return Scored(fitted, squares, known, gain, error, chance, among)
 
     def without(self, full: Scored, member: OpticalCandidate) -> Scored:
-        """The model that a step began with: the others were accepted before."""
-        if self._before is None or member is not full.candidate:
+        """The model less one of those that this step tries: the others were accepted before."""
+        rest = tuple(id(one) for one in full.members if one is not member)
+        if rest not in self._fitted:
             msg = f"{member.effect} was accepted in a step before and stays"
             raise ValueError(msg)
-        return self.unchanged(self._before[0])
+        return self._fitted[rest]
 
     def accepts(self, full: Scored, member: OpticalCandidate) -> bool:
-        """Whether the last candidate's gain is large, clear, and none that chance makes."""
-        if member is not full.candidate:
+        """Whether a candidate's gain beside the others is large, clear, and not of chance."""
+        if not any(one is member for one in full.members[self._n_accepted :]):
             return True  # of a step before
+        if member is not full.candidate:
+            rest, fitted = self.without(full, member), self._fitted[_key(full)]
+            full = self._beside(rest.model, fitted.model, member)
         if member.evident:
             return full.gain > 0
         rules = self.rules
@@ -211,7 +240,7 @@ class PressProblem(Problem[OpticalCandidate, Scored]):
             for one, (lead, error) in zip(worth[1:], leads, strict=True)
             if lead < self.rules.clear_lead_in_se * error
         ]
-        chosen = min([worth[0], *close], key=lambda one: len(one.candidate.shared))
+        chosen = min([worth[0], *close], key=lambda one: len(one.model.free))
         as_good = {one.name for one in (worth[0], *close)} - {chosen.name}
         model = chosen.model
         if self._known == Known.NOTHING:
@@ -222,6 +251,10 @@ class PressProblem(Problem[OpticalCandidate, Scored]):
     def settled(self, found: Scored) -> Scored:
         """Its errors as the next step compares them."""
         return self.unchanged(found.model)
+
+
+def _key(scored: Scored) -> tuple[int, ...]:
+    return tuple(id(one) for one in scored.members)
 
 
 def correlations(residuals: list[FloatArray], changes: list[FloatArray]) -> FloatArray:

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.errors import TableError
-from tacgen.core.types import FloatArray
-from tacgen.optics.smooth import Window
+from tacgen.core.types import FloatArray, Window
 from tacgen.optics.table import Leds, LookupTable
 
 CHANNELS = ("r", "g", "b")

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,21 +18,45 @@ DEFAULT_STRENGTH = 0.8
 PENUMBRA_MM = 0.2
 """How far a ray must pass below the relief for its light to be hidden whole: a light 2 mm wide,
 25 mm away, behind an edge 2.5 mm away."""
-NEAR_PENUMBRA_MM = 0.5
-"""Of lamps that stand near: the same light 10 mm away."""
+NEAR_PENUMBRA = 1.0
+"""Of lamps that stand near, and behind a diffuser as wide as it is far away: one is hidden whole
+where the relief rises by so much more steeply than to where it begins to hide it."""
 
 LENGTHS_MM = (1.0, 2.0, 4.0, 7.0)
 """Shadows of 1 mm of relief that a fit tries: lights 45° to 8° above the gel."""
-NEAR_START = MappingProxyType({"length_mm": 2.0, "lamp_distance_mm": 10.0})
-"""Where a fit of near lamps begins: beside the gel, half as high as they are far."""
-FIRST_STRENGTH = 0.4
-"""Where a fit begins: half of what is expected of a lamp at a side."""
+NEAR_START = MappingProxyType({"length_mm": 4.0, "lamp_distance_mm": 15.0, "penumbra": 2.0})
+"""Where a fit of near lamps begins: between low strips of lamps beside the gel and a wide diffuser
+farther off."""
+FIRST_STRENGTH, FIRST_NEAR_STRENGTH = 0.4, 0.2
+"""Where a fit begins: half of what is expected of a lamp at a side, and of all light there."""
 
 FAR_AWAY_MM = 1e4
 """Where a lamp stands whose rays count as parallel."""
 LEAST_PX = 1e-6  # so that no pixel is reached both across rows and across columns
 
 _NOTHING_MM = np.float32(1e6)
+Span: TypeAlias = tuple[int, int, int]
+
+
+@njit(cache=True, nogil=True)
+def _passed(
+    values: NDArray[Any], lamp_column: float, away: float, span: Span, out: NDArray[Any]
+) -> None:
+    """Values (width + 2) of the row before where rays to columns ``span`` pass it, into ``out``.
+
+    ``span`` is the first, that under the lamp and the last; the row is ``away`` from the lamp.
+    """
+    left, middle, right = span[0], span[1], span[2]
+    aside, column = np.float32(1 / away), np.float32(lamp_column)
+    # Loops from 0 over slices are worked on as vectors.
+    here, beyond = values[left + 1 : middle + 1], values[left + 2 : middle + 2]
+    first, part = column - np.float32(left), out[left:middle]
+    for k in range(part.shape[0]):
+        part[k] = here[k] + (first - np.float32(k)) * aside * (beyond[k] - here[k])
+    here, beyond = values[middle + 1 : right + 1], values[middle:right]
+    first, part = np.float32(middle) - column, out[middle:right]
+    for k in range(part.shape[0]):
+        part[k] = here[k] + (first + np.float32(k)) * aside * (beyond[k] - here[k])
 
 
 @njit(cache=True, nogil=True)
@@ -41,25 +65,32 @@ def _sweep(
     lamp_row: float,
     lamp_column: float,
     lamp_mm: float,
-    per_mm: float,
+    penumbra: float,
     least: float,
     shade: NDArray[Any],
 ) -> bool:
     """Shade of a lamp at the pixels that it reaches across rows rather than columns.
 
     Those are ``least`` columns fewer than rows, or more, from ``lamp_row`` and ``lamp_column``,
-    px, above which it stands by ``lamp_mm``; the others of ``shade`` stay. Returns whether there is
-    any.
+    px, above which it stands by ``lamp_mm``; the others of ``shade`` stay. A ``penumbra`` of 0 is
+    that of a lamp far away. Returns whether there is any shade.
 
     The lowest relief met on the way from the lamp is carried on from row to row, along the ray
     that goes past it, so that each pixel costs one step however long its shadow is.
     """
     n_rows, width = height_mm.shape
-    level, darkest = np.empty(width, np.float32), np.zeros(width, np.float32)
-    column, lamp, steep = np.float32(lamp_column), np.float32(lamp_mm), np.float32(per_mm)
+    level, aged, slope = (
+        np.zeros(width, np.float32),
+        np.zeros(width, np.float32),
+        np.zeros(width, np.float32),
+    )
+    darkest, lamp = np.zeros(width, np.float32), np.float32(lamp_mm)
+    none, whole, steep = np.float32(0), np.float32(1), np.float32(1 / PENUMBRA_MM)
     for outwards in (-1, 1):
         # Rows farther away reach more columns: beyond these, nothing was met yet.
         met = np.full(width + 2, _NOTHING_MM, np.float32)
+        last = met.copy()
+        age = np.zeros(width + 2, np.float32)  # rows since the relief was met
         if outwards > 0:
             r = max(math.ceil(lamp_row) + 1, 0)
         else:
@@ -68,28 +99,39 @@ def _sweep(
             away = abs(r - lamp_row)
             left = min(max(math.ceil(lamp_column - away + least), 0), width)
             right = max(min(math.floor(lamp_column + away - least) + 1, width), left)
-            middle = min(max(math.ceil(lamp_column), left), right)
-            aside, further = np.float32(1 / away), np.float32(1 / max(away - 1, 1e-3))
-            # Loops from 0 over slices are worked on as vectors.
-            here, beyond = met[left + 1 : middle + 1], met[left + 2 : middle + 2]
-            first, out = column - np.float32(left), level[left:middle]
-            for k in range(out.shape[0]):
-                before = here[k] + (first - np.float32(k)) * aside * (beyond[k] - here[k])
-                out[k] = before + (before + lamp) * further
-            here, beyond = met[middle + 1 : right + 1], met[middle:right]
-            first, out = np.float32(middle) - column, level[middle:right]
-            for k in range(out.shape[0]):
-                before = here[k] + (first + np.float32(k)) * aside * (beyond[k] - here[k])
-                out[k] = before + (before + lamp) * further
-            row, out, ray = height_mm[r, left:right], shade[r, left:right], level[left:right]
-            most = darkest[left:right]
-            for k in range(out.shape[0]):
-                hidden = min(max((row[k] - ray[k]) * steep, np.float32(0)), np.float32(1))
-                out[k] = hidden
-                most[k] = max(most[k], hidden)
-            here = met[left + 1 : right + 1]
-            for k in range(out.shape[0]):
-                here[k] = min(row[k], ray[k])
+            span = (left, min(max(math.ceil(lamp_column), left), right), right)
+            further = np.float32(1 / max(away - 1, 1e-3))
+            row, out, most = height_mm[r, left:right], shade[r, left:right], darkest[left:right]
+            here, ray = met[left + 1 : right + 1], level[left:right]
+            _passed(met, lamp_column, away, span, level)
+            if penumbra > 0:
+                _passed(age, lamp_column, away, span, aged)
+                _passed(last, lamp_column, away, span, slope)
+                per_mm, rows = np.float32(1 / penumbra), age[left + 1 : right + 1]
+                to_lamp = np.float32(away)
+                since, own = aged[left:right], slope[left:right]
+                for k in range(out.shape[0]):
+                    ray[k] += (ray[k] + lamp) * further
+                    own[k] += (own[k] + lamp) * further
+                    # By how much the horizon, and the gel's own slope, exceed the lamp's height.
+                    per = per_mm / max(row[k] + lamp, np.float32(0.1) * lamp)
+                    met_at = since[k] + whole
+                    horizon = (row[k] - ray[k]) * per * (to_lamp - met_at) / met_at
+                    slope_here = (row[k] - own[k]) * per * (to_lamp - whole)
+                    beyond = min(max(horizon, none), whole) - min(max(slope_here, none), whole)
+                    out[k] = max(beyond, none)
+                    most[k] = max(most[k], out[k])
+                    rows[k] = met_at if row[k] > ray[k] else none
+                    here[k] = min(row[k], ray[k])
+                last[1:-1] = height_mm[r]
+                last[0], last[-1] = last[1], last[-2]
+            else:
+                for k in range(out.shape[0]):
+                    ray[k] += (ray[k] + lamp) * further
+                    hidden = min(max((row[k] - ray[k]) * steep, none), whole)
+                    out[k] = hidden
+                    most[k] = max(most[k], hidden)
+                    here[k] = min(row[k], ray[k])
             r += outwards
     return bool(darkest.any())
 
@@ -100,11 +142,12 @@ def cast_shadow(
     direction: tuple[float, float, float],
     *,
     lamp_distance_mm: float = 0.0,
+    penumbra: float = NEAR_PENUMBRA,
     middle_px: tuple[float, float] = (0.0, 0.0),
 ) -> NDArray[np.float32] | None:
     """How much of a light is hidden from each pixel: 0 in the open, 1 in full shadow.
 
-    None where there is no shadow at all.
+    None where there is no shadow at all. Of a lamp near, less what the pixel's own slope hides.
 
     Parameters
     ----------
@@ -115,6 +158,9 @@ def cast_shadow(
         Unit vector from the gel's middle towards the light; its z counts as negative.
     lamp_distance_mm : float
         How far from the middle it stands, along the gel; 0 for far away.
+    penumbra : float
+        Of a lamp near: it is hidden whole where the tangent of the horizon's elevation is 1 +
+        ``penumbra`` times the lamp's.
     middle_px : tuple of float
         Row and column of the gel's middle in ``height_mm``.
 
@@ -132,7 +178,7 @@ def cast_shadow(
         middle + away_mm * part / flat / mm_per_px
         for middle, part in zip(middle_px, (y, x), strict=True)
     )
-    lamp = away_mm * abs(z) / flat, 1 / (NEAR_PENUMBRA_MM if lamp_distance_mm else PENUMBRA_MM)
+    lamp = away_mm * abs(z) / flat, penumbra if lamp_distance_mm else 0.0
     n_rows, n_columns = height_mm.shape
     # How far the window's edges are from the lamp: most windows are reached in one way alone.
     rows_px, columns_px = (
@@ -226,7 +272,9 @@ class Shadow(base.OpticalEffect):
 
     ``strength`` is that of all colours, ``strength_r``, ``_g`` and ``_b`` those of each.
     ``length_mm`` is that of the shadow of 1 mm of relief in the gel's middle; 0 keeps the lights'
-    own height. ``lamp_distance_mm`` is how far from there the lamps stand, 0 for far away.
+    own height. ``lamp_distance_mm`` is how far from there the lamps stand, 0 for far away: those
+    are of one colour each, as the table shows them, the shares are of all light in it, and
+    ``penumbra`` is as for ``cast_shadow``.
     """
 
     name = "shadow"
@@ -240,16 +288,18 @@ class Shadow(base.OpticalEffect):
             },
             "length_mm": base.OpticalParameter(0.0, 0.0, 20.0, "mm"),
             "lamp_distance_mm": base.OpticalParameter(0.0, 0.0, 1000.0, "mm"),
+            "penumbra": base.OpticalParameter(NEAR_PENUMBRA, 0.2, 10.0, step=0.05, prior=3.0),
         }
     )
 
     def prepare(self, table: LookupTable, leds: Leds, **values: float) -> dict[str, Any]:
         """The lights at their height, and the gel without them."""
-        leds, length_mm = leds or leds_of_table(table), values.get("length_mm", 0.0)
+        is_near, length_mm = values.get("lamp_distance_mm", 0.0) > 0, values.get("length_mm", 0.0)
+        leds = leds_of_table(table) if is_near or not leds else leds
         every = values.get("strength", DEFAULT_STRENGTH)
         return {
             "leds": _lowered(leds, float(length_mm)) if length_mm else leds,
-            "unlit": unlit_image(table),
+            "unlit": np.zeros_like(table.background) if is_near else unlit_image(table),
             "strengths": np.array([values.get(f"strength_{c}", every) for c in base.CHANNELS]),
         }
 
@@ -270,6 +320,7 @@ class Shadow(base.OpticalEffect):
         *,
         strengths: FloatArray | None = None,
         lamp_distance_mm: float = 0.0,
+        penumbra: float = NEAR_PENUMBRA,
         leds: Leds = (),
         unlit: FloatArray | None = None,
         **_: Any,
@@ -286,6 +337,7 @@ class Shadow(base.OpticalEffect):
                 unlit[top:bottom, left:right],
                 image,
                 lamp_distance_mm=lamp_distance_mm,
+                penumbra=penumbra,
                 middle_px=((height - 1) / 2 - top, (width - 1) / 2 - left),
             )
 
@@ -294,9 +346,10 @@ class Shadow(base.OpticalEffect):
         far = {"strength": self.parameters["strength"]}
         starts = tuple({"strength": FIRST_STRENGTH, "length_mm": x} for x in LENGTHS_MM)
         near = {f"strength_{c}": self.parameters[f"strength_{c}"] for c in base.CHANNELS}
-        start = {**dict.fromkeys(near, FIRST_STRENGTH), **NEAR_START}
-        near["length_mm"] = base.OpticalParameter(0.0, 0.5, 8.0, "mm", step=0.1)
-        near["lamp_distance_mm"] = base.OpticalParameter(0.0, 4.0, 40.0, "mm", step=0.5)
+        start = {**dict.fromkeys(near, FIRST_NEAR_STRENGTH), **NEAR_START}
+        near["length_mm"] = base.OpticalParameter(0.0, 0.5, 12.0, "mm", step=0.1)
+        near["lamp_distance_mm"] = base.OpticalParameter(0.0, 4.0, 60.0, "mm", step=0.5)
+        near["penumbra"] = self.parameters["penumbra"]
         return [
             base.OpticalCandidate(self.name, "cast by the dent", far, starts=starts),
             base.OpticalCandidate(

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.errors import TableError
-from tacgen.core.types import FloatArray
-from tacgen.optics.smooth import Window
+from tacgen.core.types import FloatArray, Window
 
 TableSection: TypeAlias = tuple[dict[str, NDArray[Any]], dict[str, Any]]
 """Arrays and numbers of a model in a table's file."""

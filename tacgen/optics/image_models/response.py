@@ -1,5 +1,6 @@
 """Image model of light of any course in position, and of what a contact adds to it."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -7,6 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.compiled import njit
 from tacgen.core.types import FloatArray
 from tacgen.optics import shade
 from tacgen.optics.image_models.base import (
@@ -69,17 +71,15 @@ class Response(ImageModel):
     def shade(self, background: NDArray[np.float32], mm_per_px: float) -> Shade:
         """As of ``ImageModel``."""
         response = shade.packed_response(self.response)
-        light = self.contact
+        (height, width), light = background.shape[:2], self.contact
         if light is None:
-            none = np.zeros((*self.response.shape[2:4], 3, 3), dtype=np.float32)
-            light = ContactLight(none, depth_mm=1.0)
-        contact = shade.packed_contact(light.change)
-        shape = background.shape[0], background.shape[1]
-        rest_mm = light.rest_mm(shape, mm_per_px)
-        if self.contact is None:
-            rest_mm.fill(-np.inf)  # no pixel is deeper than that
+            rest_mm, lines = background[:, :, 0], np.empty((0, 9, width), np.float32)
+        else:
+            rest_mm = light.rest_mm((height, width), mm_per_px)
+            lines = shade.contact_lines(light.change, width)
+        depth_mm = 1.0 if light is None else light.depth_mm
         ready = shade.ResponseNodes(
-            mm_per_px, response, self.max_slope_rad, background, rest_mm, contact, light.depth_mm
+            mm_per_px, response, self.max_slope_rad, background, rest_mm, lines, depth_mm
         )
         return lambda surface, window, spans, image: shade.shade_response(
             surface, window, spans, image, ready
@@ -95,21 +95,9 @@ class Response(ImageModel):
         """As of ``ImageModel``, in float64."""
         if self.contact is None:
             return np.zeros((len(gx), 3))
-        change = self.contact.change
-        n_rows, n_columns = change.shape[:2]
-        down, across = (v + 0.5) * (n_rows - 1), (u + 0.5) * (n_columns - 1)
-        row = np.clip(down.astype(int), 0, n_rows - 2)
-        column = np.clip(across.astype(int), 0, n_columns - 2)
-        down, across = (down - row)[:, None, None], (across - column)[:, None, None]
-        here = (1 - down) * ((1 - across) * change[row, column] + across * change[row, column + 1])
-        here += down * (
-            (1 - across) * change[row + 1, column] + across * change[row + 1, column + 1]
-        )
-        depth = np.maximum(depth_mm, 0.0)
-        share = depth / (depth + self.contact.depth_mm)
-        length = np.sqrt(1.0 + gx * gx + gy * gy)
-        terms = np.stack([share, share * gx / length, share * gy / length], axis=-1)
-        return np.asarray((terms[:, :, None] * here).sum(axis=1))
+        colors = np.empty((len(gx), 3))
+        _contact_colors(self.contact.change, self.contact.depth_mm, gx, gy, depth_mm, u, v, colors)
+        return colors
 
     def save(self) -> TableSection:
         """As of ``ImageModel``; the response in half precision."""
@@ -150,3 +138,36 @@ class Response(ImageModel):
                 "nodes of position and a depth above 0"
             )
         return problems
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _contact_colors(
+    change: NDArray[Any],
+    half_mm: float,
+    gx: NDArray[Any],
+    gy: NDArray[Any],
+    depth_mm: NDArray[Any],
+    u: NDArray[Any],
+    v: NDArray[Any],
+    colors: NDArray[Any],
+) -> None:
+    """The grey levels of :class:`ContactLight`, between its nodes, into ``colors`` (n, 3)."""
+    n_rows, n_columns = change.shape[:2]
+    for k in range(len(gx)):
+        down, across = (v[k] + 0.5) * (n_rows - 1), (u[k] + 0.5) * (n_columns - 1)
+        row = min(max(int(down), 0), n_rows - 2)
+        column = min(max(int(across), 0), n_columns - 2)
+        down, across = down - row, across - column
+        depth = max(depth_mm[k], 0.0)
+        share = depth / (depth + half_mm)
+        length = math.sqrt(1.0 + gx[k] * gx[k] + gy[k] * gy[k])
+        for c in range(3):
+            total = 0.0
+            for term in range(3):
+                upper = change[row, column, term, c]
+                upper += across * (change[row, column + 1, term, c] - upper)
+                lower = change[row + 1, column, term, c]
+                lower += across * (change[row + 1, column + 1, term, c] - lower)
+                here = upper + down * (lower - upper)
+                total += here * (1.0 if term == 0 else (gx[k] if term == 1 else gy[k]) / length)
+            colors[k, c] = share * total

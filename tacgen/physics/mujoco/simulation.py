@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from tacgen.core.engine_contacts import ContactPoint, mujoco_points
 from tacgen.core.errors import PhysicsError
 from tacgen.core.records import PADS, GraspObject, Mesh
 from tacgen.core.types import (
@@ -13,12 +14,13 @@ from tacgen.core.types import (
     STANDARD_GRAVITY_M_S2,
     FloatArray,
     IntArray,
+    cross,
     pose,
     quaternion_from_rotation,
     rotation_of,
 )
 from tacgen.physics import engine
-from tacgen.physics.engine import TABLE, ContactPoint, Place, Touch, Vector
+from tacgen.physics.engine import TABLE, Place, Touch, Vector
 from tacgen.physics.gripper import outline_of
 from tacgen.physics.margins import torsion_factor
 from tacgen.physics.mujoco.model import (
@@ -113,19 +115,15 @@ class MujocoEngine:
                 applied[dof] = (speed - speeds[dof]) * gain
             advance(model, data)
 
-    def contacts(self) -> tuple[ContactPoint, ...]:
-        """All contact points of the last step on the object."""
-        points, found, wrench = [], self._data.contact, np.zeros(6)
-        for k in np.flatnonzero(found.efc_address >= 0).tolist():
-            first, second = found.geom[k].tolist()
-            # MuJoCo's normal, in the first row of the frame, and its force act on the second.
-            sign, other = (1.0, first) if self._of_object[second] else (-1.0, second)
-            self._mujoco.mj_contactForce(self._model, self._data, k, wrench)
-            frame = sign * found.frame[k].reshape(3, 3)
-            normal, force_n = tuple(frame[0].tolist()), tuple((wrench[:3] @ frame).tolist())
-            place = tuple(found.pos[k].tolist())
-            points.append(ContactPoint(self._names[other], place, normal, wrench[0], force_n))
-        return tuple(points)
+    def contacts(self) -> list[ContactPoint[str]]:
+        """All contact points of the last step on the object, by the name of what touches it."""
+        names, of_object = self._names, self._of_object
+        return mujoco_points(
+            self._mujoco,
+            self._model,
+            self._data,
+            lambda one, other: names[other] if of_object[one] else None,
+        )
 
     def distances(self, limit_m: float) -> list[tuple[str, float]]:
         """Parts of the gripper and how near they are to the object, within ``limit_m``."""
@@ -259,7 +257,7 @@ class ObjectBody:
         # The spin is in the object's axes.
         linear, spin = self._data.qvel[self._speed : self._speed + 6].reshape(2, 3)
         rotation = self._pose()[:3, :3]
-        linear = linear + rotation @ np.cross(spin, self.inertial[:3, 3])
+        linear = linear + rotation @ cross(spin, self.inertial[:3, 3])
         return tuple(linear.tolist()), tuple((rotation @ spin).tolist())
 
     def keep_place(self) -> None:

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tacgen.calibrate.contact.align import align, shift_beside_effects
-from tacgen.calibrate.contact.command import calibrate_contact
+from tacgen.calibrate.contact.command import LogSource, calibrate_contact
 from tacgen.calibrate.contact.law_fit import fit_contact
 from tacgen.cli import app
 from tacgen.contact.law import load_law
@@ -84,13 +84,13 @@ def test_the_same_presses_give_one_law_whatever_they_come_with(tmp_path, form, s
     """k_s to the last digit, k_n within its error, and no effect by either command."""
     log, _ = session(seed)
     log.to_csv(tmp_path / "volumes.csv", index=False)
-    by_volume = calibrate_contact(tmp_path / "volumes.csv", tmp_path / "v.yaml").law
+    by_volume = calibrate_contact(LogSource(tmp_path / "volumes.csv"), tmp_path / "v.yaml").law
     in_form(form, seed).to_csv(tmp_path / "depths.csv", index=False)
-    law = calibrate_contact(tmp_path / "depths.csv", tmp_path / "d.yaml").law
+    law = calibrate_contact(LogSource(tmp_path / "depths.csv"), tmp_path / "d.yaml").law
     assert law.k_s_mm_per_n == by_volume.k_s_mm_per_n
     assert law.k_s_mm_per_n.value == pytest.approx(K_S, rel=0.02)
     assert abs(law.k_n_mm3_per_n.value - K_N) < 3.5 * law.k_n_mm3_per_n.stderr < 0.025 * K_N
-    diagnosis = diagnose_log(tmp_path / "depths.csv", tmp_path / "diagnosis")
+    diagnosis = diagnose_log(LogSource(tmp_path / "depths.csv"), tmp_path / "diagnosis")
     found = {name: one.verdict for name, one in diagnosis.channels.items()}
     assert found == {"normal": "sufficient", "shear": "sufficient"}
     assert diagnosis.law.k_n_mm3_per_n == law.k_n_mm3_per_n
@@ -111,7 +111,7 @@ def effect(name: str) -> dict[str, object]:
 )
 def test_an_effect_is_found_by_depths_too(tmp_path, form, name):
     in_form(form, 44, [effect(name)]).to_csv(tmp_path / "log.csv", index=False)
-    found = diagnose_log(tmp_path / "log.csv", tmp_path / "diagnosis")
+    found = diagnose_log(LogSource(tmp_path / "log.csv"), tmp_path / "diagnosis")
     assert found.channels["normal"].effect_names == (name,)
     # A fast creep is partly taken for compliance.
     assert found.law.k_n_mm3_per_n.value == pytest.approx(K_N, rel=0.03)
@@ -152,7 +152,7 @@ def test_presses_with_depths_beside_presses_with_volumes(tmp_path):
     assert any("no volume_mm3 in 12 presses" in text for text in read_mixed.warnings)
     expected = np.where(even, ball_volume_mm3(true_mm, log["radius_mm"]), log["volume_mm3"])
     np.testing.assert_allclose(read_mixed["volume_mm3"], expected)
-    law = calibrate_contact(tmp_path / "log.csv", tmp_path / "law.yaml").law
+    law = calibrate_contact(LogSource(tmp_path / "log.csv"), tmp_path / "law.yaml").law
     assert abs(law.k_n_mm3_per_n.value - K_N) < 3.5 * law.k_n_mm3_per_n.stderr < 0.025 * K_N
 
 
@@ -216,7 +216,9 @@ def test_the_interval_of_one_curve_of_a_known_ball_holds_its_k_n(tmp_path):
     for seed in range(20):
         frame = curves(4.0, 5.0, 1.5, late_mm=0.2, seed=seed).assign(radius_mm=4.0)
         frame.to_csv(tmp_path / "log.csv", index=False)
-        k_n = calibrate_contact(tmp_path / "log.csv", tmp_path / "law.yaml").law.k_n_mm3_per_n
+        k_n = calibrate_contact(
+            LogSource(tmp_path / "log.csv"), tmp_path / "law.yaml"
+        ).law.k_n_mm3_per_n
         held.append(abs(k_n.value - 5.0) < 1.96 * k_n.stderr)
         assert k_n.stderr < 0.2
     assert np.mean(held) >= 0.8

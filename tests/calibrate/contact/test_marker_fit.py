@@ -17,9 +17,9 @@ from tacgen.calibrate.contact.marker_fit import (
     load_tracks,
 )
 from tacgen.cli import app
+from tacgen.contact.ball_shear import Place
 from tacgen.contact.law import load_law
 from tacgen.core.errors import PressError
-from tacgen.presses.ball_shear import Place
 from tests.marker_sessions import K_N, K_S, SENSOR, make_session, read_session
 
 

@@ -15,7 +15,7 @@ from tacgen.cli import app
 from tacgen.contact.law import ContactLaw, save_law
 from tacgen.core.errors import ContactError
 from tacgen.core.records import Estimate
-from tacgen.sensor.description import load_sensor
+from tacgen.core.sensors import load_sensor
 
 mujoco = pytest.importorskip("mujoco")
 

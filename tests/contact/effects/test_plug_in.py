@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 import tacgen
+from tacgen.calibrate.contact.command import LogSource
 from tacgen.contact.effects import all_effects, base, register
 from tacgen.contact.law import load_law
 from tacgen.diagnose.contact.command import diagnose_log
@@ -80,7 +81,7 @@ def test_an_effect_registered_here_is_pressed_diagnosed_reported_and_simulated(
     session = simulate_session(recipe)
     (put_in,) = session.truth.law.effects
     session.log.to_csv(tmp_path / "log.csv", index=False)
-    diagnosis = diagnose_log(tmp_path / "log.csv", tmp_path)
+    diagnosis = diagnose_log(LogSource(tmp_path / "log.csv"), tmp_path)
     record = json.loads((tmp_path / "diagnosis.json").read_text())["channels"]["normal"]
     assert [effect["name"] for effect in record["effects"]] == [new_effect.name]
     share = record["effects"][0]["parameters"]["share"]

@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 
+from tacgen.calibrate.contact.command import LogSource
 from tacgen.contact.effects import LoadHistory, Where, all_effects, find_effect
 from tacgen.contact.law import ContactLaw, FittedEffect, load_law, respond, save_law
 from tacgen.core.errors import ContactError
@@ -208,7 +209,7 @@ def test_a_rig_s_local_effect_is_found_written_and_shown(tmp_path):
     given = RigEffect(name="creep", strength=3.0, where=where)
     session = simulate_session(load_rig_recipe("rig").model_copy(update={"effects": (given,)}))
     session.log.to_csv(tmp_path / "log.csv", index=False)
-    diagnose_log(tmp_path / "log.csv", tmp_path)
+    diagnose_log(LogSource(tmp_path / "log.csv"), tmp_path)
     (effect,) = load_law(tmp_path / "contact.yaml").effects
     assert (effect.name, effect.where.column) == ("creep", "trial")
     assert effect.where.above == pytest.approx(11, abs=1)

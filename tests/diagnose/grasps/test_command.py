@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tacgen.cli import app
-from tacgen.collection.perturbed import Perturbation, place_of, simulate_perturbed
+from tacgen.collection.perturbed import Perturbation, simulate_perturbed
 from tacgen.collection.recipe import Recipe, load_recipe
 from tacgen.core.errors import DatasetError
 from tacgen.core.records import GraspConfig
@@ -45,7 +45,7 @@ def shifted_folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("truth")
     found = simulate_perturbed(RECIPE, [(c, world) for c in configs], out, workers=1)
     rows = [
-        f"g{c.index},{BOX},{c.force_n},0,{c.y_mm},{c.z_mm},{found[place_of(c), world].label}"
+        f"g{c.index},{BOX},{c.force_n},0,{c.y_mm},{c.z_mm},{found[c.point, world].label}"
         for c in configs
     ]
     return write_grasps(tmp_path_factory.mktemp("real"), rows)

@@ -349,7 +349,6 @@ def test_labels_that_follow_something_unlisted_are_unexplained():
         posterior(comparison, labels, np.random.default_rng(0)),
         (grasps.margin() > 0).astype(int),
         covariates,
-        [],
         np.random.default_rng(0),
     )
     assert found.verdict == "unexplained"
@@ -363,7 +362,7 @@ def test_too_few_other_labels_name_nothing_and_the_likeliest_explanations_are_st
     found = posterior(comparison, labels, np.random.default_rng(0))
     simulated = (grasps.margin() > 0).astype(int)
     rng = np.random.default_rng(0)
-    diagnosis = diagnose_labels(comparison, labels, found, simulated, {}, [], rng)
+    diagnosis = diagnose_labels(comparison, labels, found, simulated, {}, rng)
     assert diagnosis.undecided
     assert diagnosis.verdict == "sufficient"
     assert diagnosis.sentence.startswith("Of 60 labels, 3 differ from the simulation, too few to")
@@ -381,7 +380,7 @@ def test_too_few_other_labels_name_nothing_and_the_likeliest_explanations_are_st
     clean = np.where(simulated, SUCCESS, FAILED)
     same = replace(labels, known=clean)
     none = posterior(comparison, same, np.random.default_rng(0))
-    agreed = diagnose_labels(comparison, same, none, simulated, {}, [], rng)
+    agreed = diagnose_labels(comparison, same, none, simulated, {}, rng)
     assert not agreed.undecided
     assert agreed.sentence == "The simulation reproduces all 60 labels."
 
@@ -395,7 +394,7 @@ def test_what_may_compensate_is_stated_where_nothing_is_named(factor):
     found = posterior(comparison, labels, np.random.default_rng(0))
     simulated = (grasps.margin() > 0).astype(int)
     rng = np.random.default_rng(0)
-    diagnosis = diagnose_labels(comparison, labels, found, simulated, {}, [], rng)
+    diagnosis = diagnose_labels(comparison, labels, found, simulated, {}, rng)
     assert diagnosis.undecided
     (cause,) = found.products
     assert {cause.name, *(one.other.name for one in found.shared(cause))} == RATIO
@@ -414,9 +413,7 @@ def test_a_ridge_is_written_in_words_and_numbers():
     labels, comparison = grasps.labels("mass_factor", 1.4), grasps.comparison(KEYS[:2])
     found = posterior(comparison, labels, np.random.default_rng(0))
     simulated = (grasps.margin() > 0).astype(int)
-    diagnosis = diagnose_labels(
-        comparison, labels, found, simulated, {}, [], np.random.default_rng(0)
-    )
+    diagnosis = diagnose_labels(comparison, labels, found, simulated, {}, np.random.default_rng(0))
     assert diagnosis.sentence.startswith("Declared wrongly: mass of block ÷ grip_force at 1.")
     assert "Only this product is known, not mass alone." in diagnosis.sentence
     assert diagnosis.sentence.endswith(" The recipe is changed in mass.")
@@ -532,9 +529,8 @@ def test_the_record_has_the_contracts_keys():
     simulated = (grasps.margin() > 0).astype(int)
     comparison = grasps.comparison()
     joint = posterior(comparison, labels, np.random.default_rng(0))
-    found = diagnose_labels(
-        comparison, labels, joint, simulated, {}, ["a note"], np.random.default_rng(0)
-    )
+    found = diagnose_labels(comparison, labels, joint, simulated, {}, np.random.default_rng(0))
+    found = replace(found, notes=("a note",))
     record = diagnosis_record(found, {"block": BLOCK})
     channel = record["channels"]["grasp"]
     assert record["schema"] == 1

@@ -9,7 +9,6 @@ from tacgen.collection.perturbed import (
     Outcome,
     Perturbation,
     perturbed_object,
-    place_of,
     recipe_object,
 )
 from tacgen.collection.recipe import Recipe
@@ -146,7 +145,7 @@ class RimmedSimulations(PerturbedSimulations):
         for place, change in wanted:
             ratio = 1.1 * change.force_scale * change.friction_factor / change.mass_factor
             outcome = Outcome(int(ratio > 0.86), "", ratio, np.inf, turn_ratio=0.0)
-            self.known[place_of(place), change] = outcome
+            self.known[place.point, change] = outcome
 
 
 @pytest.mark.parametrize(
@@ -182,7 +181,7 @@ def test_two_causes_are_simulated_at_once_and_kept(tmp_path):
     causes = (Cause(mass, np.log(1.25), 0.1), Cause(friction, np.log(0.9), 0.1))
     simulations.refined([Explanation(causes, 1.0, 1.0, np.eye(2))])
     change = Perturbation(mass_factor=1.25, friction_factor=0.9)
-    outcome = simulations.known[place_of(config(7.0)), change]
+    outcome = simulations.known[config(7.0).point, change]
     assert outcome.friction_ratio == pytest.approx(1.1 * 0.9 / 1.25)
     kept = simulations.joint[frozenset({mass.candidate, friction.candidate})]
     assert kept.coordinate[mass.candidate] == pytest.approx(np.log(1.25))

@@ -34,19 +34,6 @@ SensorByName = Annotated[
 """A sensor in a recipe: its name, or a :class:`SensorChoice`."""
 
 
-class _MarkersYaml(Section):
-    """The grid of dots printed on the gel."""
-
-    rows: PositiveInt
-    """Rows of dots."""
-    columns: PositiveInt
-    """Columns of dots."""
-    pitch_mm: PositiveFloat
-    """Distance between neighbouring dots."""
-    radius_mm: PositiveFloat
-    """Radius of a dot."""
-
-
 class _Led(Section):
     """A light, for shadows."""
 
@@ -74,7 +61,7 @@ class _SensorYaml(Section):
     gel_size_mm: tuple[PositiveFloat, PositiveFloat] | None = None
     """Width and height of the gel, which is larger than what the camera sees; 5 mm around the
     window if not given."""
-    markers: _MarkersYaml | None = None
+    markers: Markers | None = None
     """Printed dots; none if not given."""
     leds: tuple[_Led, ...] = ()
     """Lights, for ``optics.shadows``."""
@@ -157,7 +144,7 @@ def load_sensor(choice: SensorChoice | str, *, needs_table: bool = True) -> Sens
     figures = given.model_dump(exclude={"markers", "leds", "table"}) | changes
     return Sensor(
         **figures,
-        markers=Markers(**given.markers.model_dump()) if given.markers else None,
+        markers=given.markers,
         leds=tuple((led.direction, led.rgb) for led in given.leds),
         table=str(found or ""),
     )

@@ -1,13 +1,13 @@
 """The load on a pad's gel over a grasp: the physics' forces put through a contact law."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.contact.effects.history import Memory
+from tacgen.contact.effects.history import LoadHistory, Memory
 from tacgen.contact.law import USUAL_FRICTION, ContactLaw
 from tacgen.core.records import ContactFrame
 from tacgen.core.types import FloatArray
@@ -78,10 +78,7 @@ def gel_loads(
     alone = bool(law.effects) and any(frame.past is not None for frame in frames)
     normal, shear_mm = list[float](), list[FloatArray]()
     for part in [[frame] for frame in frames] if alone or not frames else [frames]:
-        history = load_history(part, grasp_index)
-        volume_mm3, motion_mm = law.predict(history, simulate=True)
-        is_depth = law.law == "linear_depth"
-        response = law.predict_depth(history, k_n_factor) if is_depth else k_n_factor * volume_mm3
+        response, motion_mm = law.simulated(load_history(part, grasp_index), k_n_factor)
         normal += response[-len(part) :].tolist()
         shear_mm += list(motion_mm[-len(part) :])
     rows = zip(frames, normal, shear_mm, strict=True)
@@ -213,13 +210,13 @@ def is_near(pose: FloatArray, load: GelLoad, other_pose: FloatArray, other: GelL
     )
 
 
-def load_history(
-    frames: Sequence[ContactFrame], grasp_index: int = 0
-) -> Mapping[str, NDArray[np.float64]]:
-    """The columns of a press log for one grasp: the past of its first frame, then the frames."""
+def load_history(frames: Sequence[ContactFrame], grasp_index: int = 0) -> LoadHistory:
+    """The loads of one grasp: the past of its first frame, then the frames."""
     past = frames[0].past
     if past is None or not len(past):
         past = np.array([[frames[0].time_s - ONSET_S, 0.0, 0.0, 0.0]])
     own = [[one.time_s, one.force_normal_n, *one.force_shear_n] for one in frames]
     rows = np.concatenate([past, own])
-    return {"trial": np.full(len(rows), float(grasp_index)), **dict(zip(LOAD, rows.T, strict=True))}
+    columns = dict(zip(LOAD, rows.T, strict=True))
+    trial = np.full(len(rows), float(grasp_index))
+    return LoadHistory({"trial": trial, **columns}, measured=False)

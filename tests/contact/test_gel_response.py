@@ -7,9 +7,9 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
+from tacgen.contact.gel_response import gel_loads
 from tacgen.contact.law import ContactLaw, FittedEffect
 from tacgen.core.records import ContactFrame, Estimate
-from tacgen.sensor.gel_response import gel_loads
 
 
 def frames(forces_n, times_s, shear_n=(0.0, 0.0), torsion_n_mm=0.0):

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import yaml
 
-from tacgen.calibrate.friction.report import write_friction_report
-from tacgen.calibrate.friction.sweep import (
+from tacgen.collection.friction import (
     FrictionFit,
     mu_range,
     sweep_friction,
     write_object_copies,
 )
+from tacgen.collection.friction_report import write_friction_report
 from tacgen.collection.perturbed import Outcome, recipe_object
 from tacgen.collection.recipe import ObjectEntry, Recipe
 from tacgen.core.errors import RecipeError

@@ -6,7 +6,7 @@ It holds exactly when 2 μ F ≥ m g, so that labels at a true μ* are known wit
 import numpy as np
 import pytest
 
-from tacgen.calibrate.friction.sweep import best_mu, best_run, fit_friction
+from tacgen.collection.friction import best_mu, best_run, fit_friction
 
 MU = np.round(np.arange(0, 1.0001, 0.05), 10)
 WEIGHT_N = 0.4 * 9.80665

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tacgen.contact.ball_shear import BallShear, Place
 from tacgen.contact.shear import marker_grid_mm
-from tacgen.presses.ball_shear import BallShear, Place
 from tests.marker_sessions import SENSOR
 
 FLAT = replace(SENSOR, dome_radius_mm=0.0)

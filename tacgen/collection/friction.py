@@ -135,7 +135,7 @@ def sweep_friction(
     wanted = [(grasp.config, change) for grasp in real.grasps for change in changes.values()]
     found = perturbed.simulate_perturbed(recipe, wanted, out, workers=workers, show=show)
     outcomes = {
-        (grasp.grasp_id, mu): found[perturbed.place_of(grasp.config), change]
+        (grasp.grasp_id, mu): found[grasp.config.point, change]
         for grasp in real.grasps
         for mu, change in changes.items()
     }
@@ -153,7 +153,7 @@ def sweep_friction(
 
 def _distinct(grasps: Sequence[RealGrasp]) -> list[RealGrasp]:
     """The grasps without those that repeat another's configuration and label."""
-    return list({(perturbed.place_of(one.config), one.label): one for one in grasps}.values())
+    return list({(one.config.point, one.label): one for one in grasps}.values())
 
 
 def data_warnings(

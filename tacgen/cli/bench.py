@@ -1,34 +1,43 @@
-"""How fast this machine makes frames and grasps.
+"""How fast this machine makes frames and grasps, reads pictures, calibrates and diagnoses.
 
 Every figure is the median of repeats on one thread, of wall time by ``perf_counter``. A frame is
 timed from the posed mesh to the RGB array: gap map, indentation, deformation, colour. A grasp is
 timed from its configuration to the images, all phases simulated up to the label, without the
-scene picture and without writing.
+scene picture and without writing. A batch runs on all cores, and so do the fits of a table, which
+are timed once, as a diagnosis is.
 """
 
 import statistics
+import tempfile
 import timeit
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.calibrate.lookup.table_fit import calibrate
 from tacgen.collection.grid import plan_recipe
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe
 from tacgen.contact import gap_map, solve_indentation
+from tacgen.contact.gel_response import GelLoad
+from tacgen.contact.indenter import Imprint
 from tacgen.core.records import Mesh
+from tacgen.core.sensors import load_sensor
+from tacgen.diagnose.contact.command import diagnose
 from tacgen.objects import load_object
-from tacgen.optics import load_table
-from tacgen.sensor.description import load_sensor
-from tacgen.sensor.gel_response import GelLoad
+from tacgen.presses.press_folder import read_presses
+from tacgen.presses.press_log import read_press_log
+from tacgen.rig import load_rig_recipe, run_rig
+from tacgen.sensor.read_image import ImageReader
 from tacgen.sensor.tactile_pad import TactilePad
 
 FRAME_OBJECT = "tomato_soup_can"
 FRAME_VOLUME_MM3 = 40.0  # about what 8 N press into the default gel
-BATCHES, BATCH_FORCE_N = (1, 64, 1024), 8.0
+BATCHES, BATCH_FORCE_N, BATCH_WORLDS = (1, 64, 1024), 8.0, 64
 GRASP = {"force_n": 10.0, "x_mm": 0.0, "y_mm": 0.0, "z_mm": 60.0}
 SEQUENCE_FRAMES = 24  # of the default recipe
 SIDE_POSE = (
@@ -44,9 +53,12 @@ Figure = tuple[str, float, str, str]
 
 
 def run_benchmarks(repeats: int) -> Iterator[Figure]:
-    """Measure everything; 30 repeats take about half a minute."""
+    """Measure everything; 30 repeats take about a minute."""
     yield from _frame_figures(repeats)
     yield from _grasp_figures(max(5, repeats // 3))
+    yield from batch_figures([BATCH_WORLDS], "cpu", repeats)
+    yield from reading_figures(repeats)
+    yield from _measurement_figures()
 
 
 def batch_figures(sizes: Sequence[int], device: str, repeats: int) -> Iterator[Figure]:
@@ -95,8 +107,7 @@ def _frame_figures(repeats: int) -> Iterator[Figure]:
         ("frame_shadow_ms_640x480", "gelsight", True),
         ("frame_ms_320x240", "gelsight_mini", False),
     ):
-        sensor = load_sensor(sensor_name)
-        pad = TactilePad(sensor, load_table(sensor.table), shadows=shadows)
+        pad = TactilePad(load_sensor(sensor_name), shadows=shadows)
         frame = partial(pad.render, surface, pose, GelLoad(FRAME_VOLUME_MM3))
         what = f"{sensor_name}, {len(surface.faces)} triangles{', shadows' if shadows else ''}"
         yield name, 1e3 * _median_s(frame, repeats), "ms", what
@@ -119,6 +130,32 @@ def _grasp_figures(repeats: int) -> Iterator[Figure]:
         with GraspPipeline(recipe) as pipeline:
             seconds = _median_s(partial(pipeline.sample, planned), repeats)
         yield name, seconds, "s", f"floating gripper, {FRAME_OBJECT}, {what}"
+
+
+def reading_figures(repeats: int) -> Iterator[Figure]:
+    """Time the reading of one picture of each size, by a reader that is kept."""
+    surface, pose = _side_of_object()
+    for name in ("gelsight_mini", "gelsight"):
+        sensor = load_sensor(name)
+        pad = TactilePad(sensor)
+        rgb = pad.render(surface, pose, GelLoad(FRAME_VOLUME_MM3))
+        read = partial(ImageReader(name, pad.image(Imprint())).read, rgb)
+        size = f"{sensor.width_px}x{sensor.height_px}"
+        yield f"read_ms_{size}", 1e3 * _median_s(read, repeats), "ms", f"{name}, a picture to depth"
+
+
+def _measurement_figures() -> Iterator[Figure]:
+    with tempfile.TemporaryDirectory() as folder:
+        run_rig(load_rig_recipe("rig_images"), Path(folder) / "images")
+        presses = read_presses(Path(folder) / "images" / "presses")
+        count = len(presses.experiment)
+        seconds = timeit.timeit(partial(calibrate, presses), number=1)
+        yield "calibrate_lookup_s", seconds, "s", f"one table of {count} simulated pictures, scored"
+        run_rig(load_rig_recipe("rig"), Path(folder) / "log")
+        log = read_press_log(Path(folder) / "log" / "press_log.csv")
+        rows = len(next(iter(log.columns.values())))
+        seconds = timeit.timeit(partial(diagnose, log.columns), number=1)
+        yield "diagnose_contact_s", seconds, "s", f"one simulated log of {rows} rows"
 
 
 def _median_s(action: Callable[[], object], repeats: int) -> float:

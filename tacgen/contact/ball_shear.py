@@ -4,13 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from pydantic import ConfigDict, FiniteFloat, PositiveFloat
 
 from tacgen.contact.ball import GelLattice
+from tacgen.contact.gel_shear import GelShear
 from tacgen.contact.shear import dilation_mm
 from tacgen.contact.shear_field import TOLERANCE
 from tacgen.core.records import Sensor
 from tacgen.core.types import FloatArray
-from tacgen.sensor.gel_shear import GelShear
 
 EVERY = 4  # pixels: so far apart the depth below a ball is computed, finer than the lattice
 STICKS = 1e4  # a friction at which all points stick
@@ -18,12 +19,18 @@ STICKS = 1e4  # a friction at which all points stick
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A round place of the gel, gel frame, where friction is another."""
+    """A round place of the gel with another friction."""
 
-    x_mm: float
-    y_mm: float
-    radius_mm: float
-    friction: float
+    __pydantic_config__ = ConfigDict(extra="forbid", use_attribute_docstrings=True)
+
+    x_mm: FiniteFloat = 0.0
+    """Its middle along x, gel frame."""
+    y_mm: FiniteFloat = 0.0
+    """Its middle along y, gel frame."""
+    radius_mm: PositiveFloat = 2.0
+    """Its radius."""
+    friction: PositiveFloat = 0.2
+    """Coulomb's coefficient there."""
 
 
 class BallShear:

@@ -5,12 +5,12 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.contact.gel_response import GelLoad
 from tacgen.contact.shear import ShearMotion, marker_grid_mm, marker_pitch_mm
 from tacgen.contact.shear_field import LATTICE_MM, ShearField, ShearState, weighted
 from tacgen.core.compiled import njit
 from tacgen.core.records import Sensor
-from tacgen.optics.smooth import Window
-from tacgen.sensor.gel_response import GelLoad
+from tacgen.core.types import Window
 
 DECAY_PER_GEL_DEPTH = 0.5
 """How far beside a contact the gel moves with it, over its thickness, where no law says it."""

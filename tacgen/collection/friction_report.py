@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from tacgen.calibrate.friction.sweep import FrictionFit, SweepKey, friction_json
+from tacgen.collection.friction import FrictionFit, SweepKey, friction_json
 from tacgen.collection.perturbed import Outcome
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps
 from tacgen.report import figures as plots

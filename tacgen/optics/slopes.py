@@ -1,0 +1,469 @@
+"""Colours to slopes: the lookup table inverted, for pictures of one size."""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tacgen.core.compiled import njit
+from tacgen.core.types import BoolArray, FloatArray, IntArray
+from tacgen.optics.image_models import ImageModel
+
+TILE_PX = 32
+"""Over so few pixels the table's dependence on place is a small correction to a first guess."""
+LATTICE_CELLS, LATTICE_MARGIN_GREY = 40, 30.0
+"""Of a tile's colours each way, some 6 grey levels wide, and how far around those of the table."""
+GRID_NODES = 101  # slopes a side: steps of 0.06, refined afterwards
+LONGEST_STEP_NODES = 2.0
+"""Longest step of Gauss–Newton, in nodes of the slope grid: so far colour is nearly linear."""
+SLOPE_PRIOR_GREY = 0.3
+"""Grey levels that a slope of 1 has to be worth: of two slopes alike in colour, the one nearer to
+the gel at rest. More flattens steep walls, by 1 % of a deep press's volume at 1 grey level."""
+SEARCH_PRIOR_GREY = 3.0
+"""The same in the first search, whose colours are those of the middle of a tile: without it some
+pixels start at a steep slope of like colour, and stay there."""
+LEAST_CHANGE_GREY = (
+    2.0  # over the three colours: what changes less is nearly at rest, and starts there
+)
+STDERR_PIXELS = 4000  # of a contact: so many tell its residual to 1 %
+REFINEMENTS = 3  # of each slope between the grid's nodes
+
+
+class SlopeFinder:
+    """Inverts an image model in pictures of one size; what all of them share is made once.
+
+    ``rest`` (h, w, 2) are the slopes ∂h/∂x and ∂h/∂y of the gel at rest, ``steepest`` the largest
+    that are searched; ``larger`` has been made for pictures of twice the size. ``rest_colors``
+    (h, w, 3) are the grey levels that the model adds at rest.
+    """
+
+    def __init__(
+        self,
+        model: ImageModel,
+        steepest: float,
+        rest: FloatArray,
+        larger: "SlopeFinder | None" = None,
+    ) -> None:
+        self._model, self.steepest, self.rest = model, steepest, rest
+        self._shape = rest.shape[0], rest.shape[1]
+        if larger is None:
+            self.grid, self._tile_px = _cartesian(model, steepest), TILE_PX
+            self._lattice = _lattice_of(self.grid, steepest, self._shape)
+        else:
+            self.grid, self._lattice = larger.grid, larger._lattice
+            self._tile_px = larger._tile_px // 2
+        self.rest_colors = self._colors_everywhere(rest)
+        self._near_rest = self._slopes_near_rest()
+
+    def without_contact_light(
+        self, seen: FloatArray, slopes: FloatArray, depth_mm: FloatArray, bare: BoolArray
+    ) -> FloatArray:
+        """Grey levels (h, w, 3) less what a contact of these slopes and depths adds to them.
+
+        On bare gel an error of the level would become light, slopes and a larger error.
+        """
+        at = np.flatnonzero((depth_mm > 0) & ~bare)
+        result = seen.copy()
+        result.reshape(-1, 3)[at] -= self._contact_light(slopes, depth_mm, at)
+        return result
+
+    def _contact_light(self, slopes: FloatArray, depth_mm: FloatArray, at: IntArray) -> FloatArray:
+        """Grey levels (n, 3) that a contact adds at the pixels of these numbers (n,)."""
+        (rows, columns), (height, width) = divmod(at, self._shape[1]), self._shape
+        u, v = (columns + 0.5) / width - 0.5, (rows + 0.5) / height - 0.5
+        gx, gy = slopes.reshape(-1, 2)[at].T
+        return self._model.contact_colors(gx, gy, depth_mm.ravel()[at], u, v)
+
+    def stderr(
+        self, seen: FloatArray, slopes: FloatArray, depth_mm: FloatArray, where: BoolArray
+    ) -> float:
+        """Standard error of the slopes in a region.
+
+        Three grey levels less two slopes leave one residual a pixel; its mean square is taken as
+        the variance of each grey level, and (JᵀJ)⁻¹ makes it one of the slopes.
+        """
+        at = np.flatnonzero(where)
+        at = at[:: max(1, len(at) // STDERR_PIXELS)]
+        if not len(at):
+            return math.nan
+        here, by_x, by_y = self._colors_at(slopes, at)
+        wanted = seen.reshape(-1, 3)[at] + self.rest_colors.reshape(-1, 3)[at]
+        wanted -= self._contact_light(slopes, depth_mm, at)
+        variance = np.square(wanted - here).sum() / len(at)
+        xx, yy, xy = (np.einsum("ij,ij->i", *p) for p in ((by_x, by_x), (by_y, by_y), (by_x, by_y)))
+        spread = (xx + yy) / np.maximum(xx * yy - xy**2, 1e-9)
+        return float(np.sqrt(0.5 * variance * np.median(spread)))
+
+    def slopes_of(
+        self, change: FloatArray, before: tuple[FloatArray, FloatArray] | None = None
+    ) -> FloatArray:
+        """(h, w, 2) slopes that explain a change of grey levels from the gel at rest.
+
+        ``before`` are another change and its slopes, which stay where the change is the same.
+        """
+        table, wanted = (self.grid, self.steepest), change + self.rest_colors
+        if before is None:
+            asked, slopes = np.ones(self._shape, np.bool_), np.empty_like(self.rest)
+        else:
+            asked, slopes = _differs(change, before[0]), before[1].copy()
+        start = self._near_rest, self.rest, change, wanted, asked, slopes
+        _start(*table, self._lattice, self._tile_px, *start)
+        _refine(*table, wanted, self.rest, asked, slopes)
+        return slopes
+
+    def _slopes_near_rest(self) -> FloatArray:
+        """(h, w, 2, 2, 2, 3) how slopes change with grey levels, from the gel at rest.
+
+        For slopes that grow or fall with x, and with y, by half a node: a table has kinks there.
+        """
+        by = np.empty((2, 2, *self._shape, 3))
+        for axis in range(2):
+            for falls in range(2):
+                step = np.zeros(2)
+                step[axis] = (0.5 - falls) * 2.0 * self.steepest / (GRID_NODES - 1)
+                moved = self._colors_everywhere(self.rest + step) - self.rest_colors
+                by[axis, falls] = moved / step[axis]
+        solve = np.empty((*self._shape, 2, 2, 2, 3), np.float32)
+        for x in range(2):
+            for y in range(2):
+                columns = np.stack([by[0, x], by[1, y]], axis=-2)
+                normal = columns @ columns.swapaxes(-1, -2) + SLOPE_PRIOR_GREY**2 * np.eye(2)
+                solve[..., x, y, :, :] = np.linalg.solve(normal, columns)
+        return solve
+
+    def _colors_everywhere(self, slopes: FloatArray) -> FloatArray:
+        """Grey levels (h, w, 3) that the table adds at slopes (h, w, 2)."""
+        return self._colors_at(slopes, np.arange(slopes.size // 2))[0].reshape(*self._shape, 3)
+
+    def _colors_at(
+        self, slopes: FloatArray, at: IntArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Grey levels (n, 3) that the table adds at slopes (h, w, 2), and how they change
+        with ∂h/∂x and with ∂h/∂y, at the pixels of these numbers (n,).
+        """
+        colors = np.empty((3, len(at), 3), np.float32)
+        _interpolate(self.grid, self.steepest, slopes, at, colors)
+        return colors[0], colors[1], colors[2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _corners(
+    grid: NDArray[Any], place: tuple[float, float], node: tuple[int, int], to: NDArray[Any]
+) -> None:
+    """Grey levels of ``grid`` (see ``_cartesian``) at a place, in shares of the picture's height
+    and width, and at a node of slopes and the three after it, x fastest; into ``to`` (12,).
+    """
+    n_rows, n_columns, m = grid.shape[:3]
+    flat = grid.reshape(-1)
+    v, u = place[0] * (n_rows - 1), place[1] * (n_columns - 1)
+    row, column = min(int(v), n_rows - 2), min(int(u), n_columns - 2)
+    down, across = np.float32(v - row), np.float32(u - column)
+    size = 3 * m * m
+    at = (row * n_columns + column) * size + (node[0] * m + node[1]) * 3
+    # Unsigned, since a signed index may count from the end, which costs as much as the rest.
+    one = np.float32(1.0)
+    shares = (
+        (one - down) * (one - across),
+        (one - down) * across,
+        down * (one - across),
+        down * across,
+    )
+    a, b = np.uint64(at), np.uint64(at + size)
+    c, d = np.uint64(at + n_columns * size), np.uint64(at + n_columns * size + size)
+    six = np.uint64(6)
+    for half in range(np.uint64(2)):
+        for t in range(six):
+            s = t + half * np.uint64(3 * m)
+            to[t + half * six] = (
+                shares[0] * flat[a + s]
+                + shares[1] * flat[b + s]
+                + shares[2] * flat[c + s]
+                + shares[3] * flat[d + s]
+            )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _interpolate(
+    grid: NDArray[Any],
+    steepest: float,
+    slopes: NDArray[Any],
+    at: NDArray[Any],
+    colors: NDArray[Any],
+) -> None:
+    """Grey levels at slopes (h, w, 2), and how they change with both, into ``colors`` (3, n, 3).
+
+    At the pixels of these numbers (n,), linearly between the nodes of ``grid``.
+    """
+    height, width = slopes.shape[:2]
+    m = grid.shape[2]
+    per_slope = (m - 1) / (2.0 * steepest)
+    near = np.empty(12, np.float32)
+    for n in range(len(at)):
+        r, k = at[n] // width, at[n] % width
+        # Just below the last node, so that there always is a next one.
+        x = min(max((slopes[r, k, 0] + steepest) * per_slope, 0.0), m - 1.001)
+        y = min(max((slopes[r, k, 1] + steepest) * per_slope, 0.0), m - 1.001)
+        i, j = int(y), int(x)
+        _corners(grid, ((r + 0.5) / height, (k + 0.5) / width), (i, j), near)
+        fy, fx = y - i, x - j
+        for c in range(3):
+            upper = near[c] + fx * (near[3 + c] - near[c])
+            lower = near[6 + c] + fx * (near[9 + c] - near[6 + c])
+            colors[0, n, c] = upper + fy * (lower - upper)
+            by_x = (1.0 - fy) * (near[3 + c] - near[c]) + fy * (near[9 + c] - near[6 + c])
+            colors[1, n, c], colors[2, n, c] = by_x * per_slope, (lower - upper) * per_slope
+
+
+@njit(cache=True, nogil=True)
+def _differs(one: NDArray[Any], other: NDArray[Any]) -> NDArray[Any]:
+    """Where (h, w) two pictures (h, w, 3) differ."""
+    height, width = one.shape[:2]
+    result = np.empty((height, width), np.bool_)
+    for r in range(height):
+        for k in range(width):
+            result[r, k] = (
+                one[r, k, 0] != other[r, k, 0]
+                or one[r, k, 1] != other[r, k, 1]
+                or one[r, k, 2] != other[r, k, 2]
+            )
+    return result
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _search(
+    grid: NDArray[Any],
+    lattice: tuple[NDArray[Any], ...],
+    wanted: NDArray[Any],
+    least_grey2: float,
+    tile: tuple[int, int],
+) -> int:
+    """Index in the grid's (m, m) of the slopes that the ``wanted`` colour (3,) is nearest to.
+
+    Of those of the eight nearest cells of the tile, by the colours at the tile's middle;
+    −1 where none is nearer than ``least_grey2``.
+    """
+    cells, corners, per_grey, flat_grey2 = lattice
+    last, (p, q) = cells.shape[2] - 1, tile
+    colors = grid.reshape(-1, 3)
+    first = (int(corners[p, q, 3]) * grid.shape[1] + int(corners[p, q, 4])) * len(flat_grey2)
+    red, green, blue = wanted[0], wanted[1], wanted[2]
+    a = int((red - corners[p, q, 0]) * per_grey[p, q, 0] - 0.5)
+    b = int((green - corners[p, q, 1]) * per_grey[p, q, 1] - 0.5)
+    c = int((blue - corners[p, q, 2]) * per_grey[p, q, 2] - 0.5)
+    found, before = -1, -1
+    for which in range(8):
+        i = min(max(a + which // 4, 0), last)
+        j = min(max(b + which // 2 % 2, 0), last)
+        at = int(cells[p, q, i, j, min(max(c + which % 2, 0), last)])
+        if at in (before, found):
+            continue
+        before = at
+        k = first + at
+        away = flat_grey2[at] + (red - colors[k, 0]) ** 2
+        away += (green - colors[k, 1]) ** 2 + (blue - colors[k, 2]) ** 2
+        if away < least_grey2:
+            found, least_grey2 = at, away
+    return found
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _start(
+    grid: NDArray[Any],
+    steepest: float,
+    lattice: tuple[NDArray[Any], ...],
+    tile_px: int,
+    near_rest: NDArray[Any],
+    rest: NDArray[Any],
+    change: NDArray[Any],
+    wanted: NDArray[Any],
+    asked: NDArray[Any],
+    slopes: NDArray[Any],
+) -> None:
+    """Write the first ``slopes`` (h, w, 2) of a ``change`` to ``wanted`` colours where ``asked``.
+
+    Where the gel at rest explains a colour as well as the ``lattice``'s slopes, or nearly all of
+    it, it is at rest. Next to that ``near_rest`` gives the slopes, and nothing more is asked.
+    """
+    height, width = slopes.shape[:2]
+    m = grid.shape[2]
+    node = 2.0 * steepest / (m - 1)
+    for r in range(height):
+        p = min(r // tile_px, lattice[1].shape[0] - 1)
+        for k in range(width):
+            if not asked[r, k]:
+                continue
+            one, two, three = change[r, k, 0], change[r, k, 1], change[r, k, 2]
+            slopes[r, k, 0], slopes[r, k, 1] = rest[r, k, 0], rest[r, k, 1]
+            square = one * one + two * two + three * three
+            if square > LEAST_CHANGE_GREY**2:
+                at = _search(
+                    grid,
+                    lattice,
+                    wanted[r, k],
+                    square,
+                    (p, min(k // tile_px, lattice[1].shape[1] - 1)),
+                )
+                if at >= 0:
+                    slopes[r, k, 0] = (at % m) * node - steepest
+                    slopes[r, k, 1] = (at // m) * node - steepest
+                continue
+            i, j = 0, 0
+            for _ in range(2):
+                by = near_rest[r, k, i, j]
+                x = by[0, 0] * one + by[0, 1] * two + by[0, 2] * three
+                y = by[1, 0] * one + by[1, 1] * two + by[1, 2] * three
+                if (x < 0) == i and (y < 0) == j:
+                    break
+                i, j = int(x < 0), int(y < 0)
+            if max(abs(x), abs(y)) < node:
+                slopes[r, k, 0] += x
+                slopes[r, k, 1] += y
+                asked[r, k] = False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _refine(
+    grid: NDArray[Any],
+    steepest: float,
+    wanted: NDArray[Any],
+    rest: NDArray[Any],
+    asked: NDArray[Any],
+    slopes: NDArray[Any],
+) -> None:
+    """Gauss–Newton steps of ``slopes`` (h, w, 2) where ``asked`` (h, w), towards ``wanted``.
+
+    On the squared difference of colours, with a weak prior for the slopes ``rest`` (h, w, 2).
+    """
+    height, width = slopes.shape[:2]
+    prior, m = SLOPE_PRIOR_GREY**2, grid.shape[2]
+    per_slope = (m - 1) / (2.0 * steepest)
+    near = np.empty(12, np.float32)
+    for r in range(height):
+        for k in range(width):
+            if not asked[r, k]:
+                continue
+            place = (r + 0.5) / height, (k + 0.5) / width
+            rest_x, rest_y = rest[r, k, 0] * per_slope, rest[r, k, 1] * per_slope
+            x, y = slopes[r, k, 0] * per_slope, slopes[r, k, 1] * per_slope
+            before_i, before_j = -1, -1
+            for _ in range(REFINEMENTS):
+                # In nodes from here on; just below the last one, so that there always is a next.
+                u, v = min(x + 0.5 * (m - 1), m - 1.001), min(y + 0.5 * (m - 1), m - 1.001)
+                i, j = int(v), int(u)
+                if i != before_i or j != before_j:
+                    _corners(grid, place, (i, j), near)
+                    before_i, before_j = i, j
+                fy, fx = v - i, u - j
+                xx, yy, xy = prior / per_slope**2, prior / per_slope**2, 0.0
+                bx, by = xx * (rest_x - x), yy * (rest_y - y)
+                for c in range(3):
+                    upper = near[c] + fx * (near[3 + c] - near[c])
+                    lower = near[6 + c] + fx * (near[9 + c] - near[6 + c])
+                    by_x = (1.0 - fy) * (near[3 + c] - near[c]) + fy * (near[9 + c] - near[6 + c])
+                    by_y = lower - upper
+                    off = wanted[r, k, c] - upper - fy * by_y
+                    xx += by_x * by_x
+                    yy += by_y * by_y
+                    xy += by_x * by_y
+                    bx += by_x * off
+                    by += by_y * off
+                per = 1.0 / (xx * yy - xy * xy)
+                step_x, step_y = (yy * bx - xy * by) * per, (xx * by - xy * bx) * per
+                x += min(max(step_x, -LONGEST_STEP_NODES), LONGEST_STEP_NODES)
+                y += min(max(step_y, -LONGEST_STEP_NODES), LONGEST_STEP_NODES)
+                x = min(max(x, -0.5 * (m - 1)), 0.5 * (m - 1))
+                y = min(max(y, -0.5 * (m - 1)), 0.5 * (m - 1))
+                # Colours are nearly linear between four nodes: in there one step is enough.
+                if int(y + 0.5 * (m - 1)) == i and int(x + 0.5 * (m - 1)) == j:
+                    break
+            slopes[r, k, 0], slopes[r, k, 1] = x / per_slope, y / per_slope
+
+
+def _cartesian(model: ImageModel, steepest: float) -> NDArray[np.float32]:
+    """Grey levels (rows, columns, m, m, 3) that slopes (∂h/∂y, ∂h/∂x) on a square grid add at
+    nodes of position, evenly from edge to edge of the image.
+    """
+    axis = np.linspace(-steepest, steepest, GRID_NODES)
+    slope_y, slope_x = np.meshgrid(axis, axis, indexing="ij")
+    grid = np.asarray(model.slope_colors(slope_x, slope_y), np.float32)
+    return np.ascontiguousarray(grid.transpose(2, 3, 0, 1, 4))
+
+
+def _lattice_of(
+    grid: NDArray[np.float32], steepest: float, shape_px: tuple[int, int]
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """The slopes of colours in the tiles of a picture.
+
+    Cells (rows, columns, n, n, n) of colour hold the index in the grid's (m, m) of the slopes whose
+    colour at the middle of the tile is nearest. The second array (rows, columns, 5) is the corner
+    of the first cell with the middle's row and column in the grid, the third cells a grey level,
+    the last (m · m,) the price of a slope's steepness.
+    """
+    tops, lefts = (range(0, size, TILE_PX) for size in shape_px)
+    axis = np.linspace(-steepest, steepest, GRID_NODES)
+    steepness = np.hypot(axis[:, None], axis[None, :]).ravel()
+    nodes = np.flatnonzero(steepness <= steepest)
+    flat_grey2 = ((SEARCH_PRIOR_GREY * steepness) ** 2).astype(np.float32)
+    cells = np.empty((len(tops), len(lefts), *[LATTICE_CELLS] * 3), np.int16)
+    corners, per_grey = (np.empty((len(tops), len(lefts), n)) for n in (5, 3))
+    for p, top in enumerate(tops):
+        for q, left in enumerate(lefts):
+            ends = np.minimum([top + TILE_PX, left + TILE_PX], shape_px)
+            middle = (np.array([top, left]) + ends) / 2 / np.array(shape_px)
+            row, column = np.rint(middle * (np.array(grid.shape[:2]) - 1)).astype(int).tolist()
+            colors = grid[row, column].reshape(-1, 3)[nodes].astype(np.float64)
+            first = colors.min(axis=0) - LATTICE_MARGIN_GREY
+            width = (colors.max(axis=0) + LATTICE_MARGIN_GREY - first) / LATTICE_CELLS
+            corners[p, q], per_grey[p, q] = (*first, row, column), 1.0 / width
+            _fill(cells[p, q], colors - first, width, flat_grey2[nodes], nodes)
+    return cells, corners, per_grey, flat_grey2
+
+
+@njit(cache=True, nogil=True)
+def _fill(
+    cells: NDArray[Any],
+    colors: NDArray[Any],
+    width: NDArray[Any],
+    flat_grey2: NDArray[Any],
+    nodes: NDArray[Any],
+) -> None:
+    """Write into ``cells`` (n, n, n) the one of ``nodes`` (N,) nearest in ``colors`` (N, 3).
+
+    Each node starts in its cell; sweeps to and fro hand the nearest one on to the next cells.
+    """
+    n = cells.shape[0]
+    owner, far = np.full((n, n, n), -1, np.int32), np.full((n, n, n), np.inf)
+    for k in range(len(nodes)):
+        a, b, c = int(colors[k, 0] / width[0]), int(colors[k, 1] / width[1]), 0
+        c = int(colors[k, 2] / width[2])
+        away = flat_grey2[k] + _apart((a, b, c), width, colors[k])
+        if away < far[a, b, c]:
+            far[a, b, c], owner[a, b, c] = away, k
+    for turn in range(4 * n**3):
+        sweep, at = turn // n**3, turn % n**3
+        step = 1 - 2 * (sweep % 2)
+        at = at if step > 0 else n**3 - 1 - at
+        a, b, c = at // (n * n), at // n % n, at % n
+        for which in range(1, 8):
+            # The neighbours that were swept before, along the axes and diagonals.
+            i, j, k = a - which % 2 * step, b - which // 2 % 2 * step, c - which // 4 * step
+            if min(i, j, k) < 0 or max(i, j, k) >= n or owner[i, j, k] < 0:
+                continue
+            node = owner[i, j, k]
+            away = flat_grey2[node] + _apart((a, b, c), width, colors[node])
+            if away < far[a, b, c]:
+                far[a, b, c], owner[a, b, c] = away, node
+    for at in range(n**3):
+        cells.flat[at] = nodes[owner.flat[at]]
+
+
+@njit(cache=True, nogil=True)
+def _apart(cell: tuple[int, int, int], width: NDArray[Any], color: NDArray[Any]) -> float:
+    """Squared distance of a colour (3,) from the middle of a cell."""
+    a, b, c = (
+        (cell[0] + 0.5) * width[0] - color[0],
+        (cell[1] + 0.5) * width[1] - color[1],
+        (cell[2] + 0.5) * width[2] - color[2],
+    )
+    return float(a * a + b * b + c * c)
