@@ -32,7 +32,7 @@ from tacgen.contact.gap import gap_map
 from tacgen.core.images import difference, side_by_side
 from tacgen.core.records import Mesh, frozen_array
 from tacgen.core.resources import object_folders
-from tacgen.learning.inputs import augmented
+from tacgen.learning.network_input import augmented
 from tacgen.learning.training_recipe import Augmentation
 from tacgen.objects import load_object
 from tacgen.objects.picture import seen_from

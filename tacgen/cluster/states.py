@@ -8,7 +8,7 @@ from typing import Any
 from tacgen.cluster.records import JobsFolder, Note, Submission, Task, note_path, read_note
 from tacgen.cluster.scheduler import live_jobs
 from tacgen.dataset import DatasetFolder
-from tacgen.dataset.inputs import changed_roles
+from tacgen.dataset.input_hashes import changed_roles
 from tacgen.dataset.manifest import ShardLine
 
 ALIVE = ("queued", "running", "unknown")

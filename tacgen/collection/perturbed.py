@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from tacgen.collection.gel import contact_law, gel_patch, mounted_sensor
-from tacgen.collection.inputs import recipe_inputs
 from tacgen.collection.kept import kept_results
 from tacgen.collection.recipe import ObjectEntry, Randomize, Recipe
+from tacgen.collection.recipe_inputs import recipe_inputs
 from tacgen.contact.indenter import Indenter
 from tacgen.core.errors import DatasetError
 from tacgen.core.files import sha256_of_content

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from tacgen.collection.confidence import label_confidence
 from tacgen.collection.gel import SETTLED_PRESS, contact_law, gel_patch, mounted_sensor
 from tacgen.collection.grid import Grids, PlannedGrasp
-from tacgen.collection.inputs import recipe_inputs
 from tacgen.collection.perturbed import (
     Variation,
     draw_variation,
@@ -21,6 +20,7 @@ from tacgen.collection.perturbed import (
     vary_config,
 )
 from tacgen.collection.recipe import Recipe
+from tacgen.collection.recipe_inputs import recipe_inputs
 from tacgen.collection.scene import PICTURE_PX, camera_samples, cameras_of, grasp_picture
 from tacgen.contact.gel_response import GelLoad, gel_loads, is_near, rounded_pose_and_load
 from tacgen.contact.indenter import Imprint

@@ -28,7 +28,7 @@ from tacgen.core.files import (
 from tacgen.core.resources import __version__, newer_problem
 from tacgen.core.schema import read_yaml
 from tacgen.dataset.check import content_problems
-from tacgen.dataset.inputs import GRID, changed_roles
+from tacgen.dataset.input_hashes import GRID, changed_roles
 from tacgen.dataset.manifest import (
     MAX_SHARDS,
     ShardLine,

@@ -164,7 +164,7 @@ class Dataset:
 
     @property
     def inputs(self) -> dict[str, str]:
-        """The hash of each input that the grasps depend on, by role; see ``dataset/inputs.py``."""
+        """The hash of each input that the grasps depend on, by role (``input_hashes.py``)."""
         return {role: digest for line in self.lines for role, digest in line.inputs.items()}
 
     def taken_with(self, pad: str | None = None) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tacgen.core.records import PADS, Camera, GraspConfig, GraspOutcome, Sensor, Until
-from tacgen.dataset.inputs import Inputs
+from tacgen.dataset.input_hashes import Inputs
 from tacgen.dataset.schema import FIELDS, FLAG_FIELDS, FLAG_WORDS, STATE_FIELDS, Layout
 
 

@@ -11,7 +11,7 @@ from tacgen.core.files import sha256_of_content
 from tacgen.dataset import manifest
 from tacgen.dataset.check import byte_problems, content_problems
 from tacgen.dataset.folder import DatasetFolder
-from tacgen.dataset.inputs import changed_roles
+from tacgen.dataset.input_hashes import changed_roles
 from tacgen.dataset.samples import shard_range
 
 _FOREIGN = "no shard of this dataset: remove it, and the .json of its name"

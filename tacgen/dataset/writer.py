@@ -12,7 +12,7 @@ from tacgen.core.files import DiskFile, sha256_of
 from tacgen.core.resources import __version__
 from tacgen.dataset.check import GraspFacts, tally, validity
 from tacgen.dataset.compression import storage_of, write_images
-from tacgen.dataset.inputs import library_versions
+from tacgen.dataset.input_hashes import library_versions
 from tacgen.dataset.manifest import ShardLine, shard_file
 from tacgen.dataset.samples import DatasetSpec, GraspSample, shard_range
 from tacgen.dataset.schema import (

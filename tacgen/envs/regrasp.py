@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from scipy.special import logit, softmax
 
 from tacgen.collection.grid import PlannedGrasp, plan_recipe
-from tacgen.collection.inputs import recipe_inputs
 from tacgen.collection.kept import kept_results
 from tacgen.collection.pipeline import GraspPipeline, planned_times_s
 from tacgen.collection.recipe import Recipe
+from tacgen.collection.recipe_inputs import recipe_inputs
 from tacgen.core.errors import LearningError
 from tacgen.core.files import alone, refuse_foreign, sha256_of, sha256_of_content, write_text
 from tacgen.core.processes import Report
@@ -33,7 +33,7 @@ from tacgen.core.progress import LOG, print_status, progress_counter
 from tacgen.core.records import LABEL_SUCCESS, GraspTrace, rng_of
 from tacgen.dataset.reader import ROUNDING_S, TIME_DIGITS
 from tacgen.dataset.samples import PadSample, frame_times_s
-from tacgen.learning.inputs import ARRAYS, InputSpec, taken_otherwise
+from tacgen.learning.network_input import ARRAYS, InputSpec, taken_otherwise
 from tacgen.learning.predictor import Predictor
 from tacgen.learning.run_folder import RunFolder
 from tacgen.learning.scores import wilson_interval

@@ -17,7 +17,7 @@ from tacgen.core.errors import LearningError
 from tacgen.core.files import DiskFile, atomic_path, require_readable
 from tacgen.core.resources import __version__
 from tacgen.learning.backbone import read_tensors
-from tacgen.learning.inputs import InputSpec
+from tacgen.learning.network_input import InputSpec
 from tacgen.learning.networks import StabilityNet, build_network
 
 _CARD_KEY = "tacgen_model"

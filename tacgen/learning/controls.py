@@ -16,9 +16,9 @@ from tacgen.core.progress import print_status
 from tacgen.learning.checkpoint import load_model
 from tacgen.learning.device import exact_torch
 from tacgen.learning.grasps import SimulatedGrasps
-from tacgen.learning.inputs import InputSpec, frames_of, resized
 from tacgen.learning.intervals import mean_scores
 from tacgen.learning.loader import Batches, DecodedInputs
+from tacgen.learning.network_input import InputSpec, frames_of, resized
 from tacgen.learning.parameter_baseline import forest
 from tacgen.learning.predictions import Predictions, predict
 from tacgen.learning.run_folder import RunFolder

@@ -24,7 +24,9 @@ from tacgen.learning.grasps import (
     RealGraspImages,
     SimulatedGrasps,
 )
-from tacgen.learning.inputs import (
+from tacgen.learning.intervals import standardised_gap
+from tacgen.learning.loader import Batches, DecodedInputs
+from tacgen.learning.network_input import (
     ACROSS,
     InputSpec,
     camera_note,
@@ -33,8 +35,6 @@ from tacgen.learning.inputs import (
     resized,
     taken_otherwise,
 )
-from tacgen.learning.intervals import standardised_gap
-from tacgen.learning.loader import Batches, DecodedInputs
 from tacgen.learning.predictions import (
     LOOKED_AT,
     Predictions,

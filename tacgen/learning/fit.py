@@ -19,8 +19,8 @@ from torch.utils.tensorboard import SummaryWriter
 from tacgen.core.errors import LearningError
 from tacgen.core.progress import progress_counter
 from tacgen.learning.checkpoint import FROM_THE_START, ModelCard, load_state, save_model, save_state
-from tacgen.learning.inputs import InputSpec
 from tacgen.learning.loader import Batches
+from tacgen.learning.network_input import InputSpec
 from tacgen.learning.networks import StabilityNet, build_network, build_optimizer, build_scheduler
 from tacgen.learning.predictions import (
     calibrated,

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from tacgen.core.records import rng_of
 from tacgen.learning.grasps import GraspSource
-from tacgen.learning.inputs import (
+from tacgen.learning.network_input import (
     InputSpec,
     at_rest,
     augmented,

@@ -16,8 +16,8 @@ from tacgen.core.progress import print_status
 from tacgen.core.safe_io import IMAGE_SUFFIXES, read_rgb
 from tacgen.learning.checkpoint import load_model
 from tacgen.learning.device import choose_device, exact_torch
-from tacgen.learning.inputs import ARRAYS, VisionInput, chosen_frames, resized
 from tacgen.learning.loader import as_batch
+from tacgen.learning.network_input import ARRAYS, VisionInput, chosen_frames, resized
 from tacgen.learning.predictions import (
     input_statistics,
     notes_on_images,

@@ -23,7 +23,8 @@ from tacgen.learning.grasps import (
     SimulatedGrasps,
     frames_until,
 )
-from tacgen.learning.inputs import (
+from tacgen.learning.loader import Batches, DecodedInputs
+from tacgen.learning.network_input import (
     InputSpec,
     TouchInput,
     VisionInput,
@@ -33,7 +34,6 @@ from tacgen.learning.inputs import (
     with_normalisation,
     with_touch_scale,
 )
-from tacgen.learning.loader import Batches, DecodedInputs
 from tacgen.learning.predictions import predict
 from tacgen.learning.reports import write_training_report
 from tacgen.learning.run_folder import SCHEMA, RunFolder

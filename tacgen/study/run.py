@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from tacgen.collection.friction import friction_json, mu_range, sweep_friction
-from tacgen.collection.inputs import recipe_inputs
 from tacgen.collection.recipe import Recipe
+from tacgen.collection.recipe_inputs import recipe_inputs
 from tacgen.collection.run import collect
 from tacgen.core.errors import LearningError, TacgenError
 from tacgen.core.files import refuse_other_page, sha256_of_content, write_text
 from tacgen.core.progress import print_status
-from tacgen.dataset.inputs import changed_roles
+from tacgen.dataset.input_hashes import changed_roles
 from tacgen.dataset.real_grasps import read_real_grasps
 from tacgen.learning.evaluate import evaluate
 from tacgen.learning.intervals import over_seeds

@@ -12,7 +12,7 @@ import pytest
 
 from tacgen.dataset import DatasetFolder, gallery
 from tacgen.dataset.gallery import shown_grasps, thumbnails, write_gallery
-from tacgen.dataset.inputs import Inputs
+from tacgen.dataset.input_hashes import Inputs
 from tacgen.dataset.summary import write_card
 
 from .conftest import collect_toy, make_sample, make_spec

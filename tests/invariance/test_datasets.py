@@ -11,16 +11,16 @@ import pytest
 import yaml
 
 from tacgen.collection.grid import grown_plan, plan_recipe
-from tacgen.collection.inputs import recipe_inputs
 from tacgen.collection.perturbed import Perturbation, simulate_perturbed
 from tacgen.collection.pipeline import GraspPipeline
 from tacgen.collection.recipe import Recipe, load_recipe
+from tacgen.collection.recipe_inputs import recipe_inputs
 from tacgen.collection.run import collect, prepare
 from tacgen.core.errors import DatasetError
 from tacgen.core.records import GraspConfig
 from tacgen.core.resources import find_object_folder, gripper_path
 from tacgen.dataset import Dataset, DatasetFolder
-from tacgen.dataset.inputs import Inputs
+from tacgen.dataset.input_hashes import Inputs
 from tacgen.dataset.verify import verify
 from tests.dataset.conftest import collect_toy, make_spec
 from tests.small_world import write_world
@@ -187,7 +187,8 @@ def test_a_dataset_of_another_engine_is_not_resumed(world):
 def test_a_dataset_of_another_library_is_not_resumed(world, monkeypatch):
     prepare(load_recipe(world), Path("out"))
     monkeypatch.setattr(
-        "tacgen.collection.inputs.library_versions", lambda engine="": {"numpy": "1.0", engine: "0"}
+        "tacgen.collection.recipe_inputs.library_versions",
+        lambda engine="": {"numpy": "1.0", engine: "0"},
     )
     with pytest.raises(DatasetError, match=r'version of numpy: ".*" there, "1.0" now'):
         prepare(load_recipe(world), Path("out"))

@@ -16,7 +16,7 @@ from tacgen.dataset.export import export_dataset
 from tacgen.dataset.real_grasps import read_real_grasps
 from tacgen.learning.evaluate import evaluate
 from tacgen.learning.grasps import RealGraspImages, SimulatedGrasps, frames_until
-from tacgen.learning.inputs import InputSpec, read_input
+from tacgen.learning.network_input import InputSpec, read_input
 from tacgen.learning.predictor import Predictor
 from tacgen.learning.train import train
 from tests.learning.conftest import (

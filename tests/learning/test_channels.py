@@ -17,7 +17,7 @@ from tacgen.dataset import Dataset  # noqa: E402
 from tacgen.dataset.export import export_dataset  # noqa: E402
 from tacgen.learning.evaluate import evaluate  # noqa: E402
 from tacgen.learning.grasps import SimulatedGrasps  # noqa: E402
-from tacgen.learning.inputs import (  # noqa: E402
+from tacgen.learning.network_input import (  # noqa: E402
     InputSpec,
     TouchInput,
     read_touch,

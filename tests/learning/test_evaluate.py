@@ -16,7 +16,7 @@ from tacgen.core.errors import LearningError
 from tacgen.core.records import Sensor
 from tacgen.dataset import Dataset
 from tacgen.dataset.export import export_dataset
-from tacgen.dataset.inputs import Inputs
+from tacgen.dataset.input_hashes import Inputs
 from tacgen.learning.evaluate import evaluate, scores_by_value
 from tacgen.learning.train import train
 from tests.learning.conftest import collect, make_sample, make_spec, recipe_of, write_real

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tacgen.dataset.inputs import Inputs
+from tacgen.dataset.input_hashes import Inputs
 from tests.learning.conftest import (
     collect,
     make_sample,

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from tacgen import cli
-from tacgen.collection.inputs import recipe_inputs
+from tacgen.collection.recipe_inputs import recipe_inputs
 from tacgen.core.errors import LearningError, TacgenError
 from tacgen.core.resources import find_object_folder
 from tacgen.study.real_data import RealData

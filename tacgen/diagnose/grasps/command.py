@@ -10,8 +10,8 @@ import pandas as pd
 import yaml
 
 from tacgen.collection import perturbed
-from tacgen.collection.inputs import recipe_inputs
 from tacgen.collection.recipe import Recipe
+from tacgen.collection.recipe_inputs import recipe_inputs
 from tacgen.core.files import refuse_foreign, refuse_other_page, sha256_of, write_text
 from tacgen.core.records import AXES
 from tacgen.core.types import FloatArray, IntArray

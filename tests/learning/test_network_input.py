@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from tacgen.learning.grasps import RealGraspImages, SimulatedGrasps
-from tacgen.learning.inputs import (
+from tacgen.learning.loader import Batches, DecodedInputs
+from tacgen.learning.network_input import (
     InputSpec,
     augmented,
     chosen_frames,
@@ -18,7 +19,6 @@ from tacgen.learning.inputs import (
     to_network,
     with_normalisation,
 )
-from tacgen.learning.loader import Batches, DecodedInputs
 from tacgen.learning.training_recipe import Augmentation
 from tests.learning.conftest import REFERENCE, SENSOR, write_real
 

@@ -10,7 +10,7 @@ from tacgen.contact.law import ContactLaw, load_law
 from tacgen.core.files import sha256_of, sha256_of_content
 from tacgen.core.resources import sensor_path
 from tacgen.core.sensors import load_sensor
-from tacgen.dataset.inputs import OBJECT, Inputs, library_versions
+from tacgen.dataset.input_hashes import OBJECT, Inputs, library_versions
 from tacgen.objects.description import read_description
 
 _OF_THE_GRID = {"name", "description", "objects", "grid", "sensor"}
