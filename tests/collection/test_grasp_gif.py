@@ -3,10 +3,10 @@
 import pytest
 from PIL import Image
 
-from tacgen.collection import pipeline
 from tacgen.collection.grasp_gif import write_gif
 from tacgen.collection.recipe import load_recipe
 from tacgen.core.errors import RecipeError
+from tacgen.sensor.tactile_pad import TactilePad
 
 from ..small_world import write_world
 
@@ -25,7 +25,7 @@ def test_a_grasp_becomes_an_animation(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_a_grasp_that_shows_nothing_says_so_and_what_to_change(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(pipeline, "visible_share", lambda *_: 0.0)
+    monkeypatch.setattr(TactilePad, "visible_share", lambda *_: 0.0)
     outcome = write_gif(load_recipe(write_world(tmp_path)), 1, tmp_path / "grasp.gif")
     assert "pad: nothing to see" in outcome
     for fix in ("grid.force_n", "grid.x_mm", "a sensor with"):
