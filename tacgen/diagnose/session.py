@@ -11,12 +11,11 @@ from tacgen.calibrate.contact.command import LogSource
 from tacgen.core.errors import PressError
 from tacgen.core.files import refuse_other_page
 from tacgen.diagnose.contact.command import diagnose_log
-from tacgen.diagnose.contact.report import residual_figure
+from tacgen.diagnose.contact.report import error_bars, residual_figure
 from tacgen.diagnose.contact.result import diagnosis_record as contact_record
 from tacgen.diagnose.optics.command import diagnose_presses
 from tacgen.diagnose.optics.pictures import MEAN_GAIN, mean_residuals
 from tacgen.diagnose.record import VERDICTS, diagnosis_record, write_record
-from tacgen.report import figures as plots
 from tacgen.report.formatting import unit_text
 from tacgen.report.page import write_page
 
@@ -79,8 +78,8 @@ def diagnose_session(
 
     Raises ``PressError`` if there is nothing to diagnose, or a part cannot be used.
     """
-    session = Session.of(Path(folder))
-    page = Path(out) / "report.html"
+    folder, out = Path(folder), Path(out)
+    session, page = Session.of(folder), out / "report.html"
     refuse_other_page(page, "diagnose presses")
     channels: dict[str, Mapping[str, Any]] = {}
     notes: list[str] = []
@@ -119,12 +118,12 @@ def diagnose_session(
     verdicts = [channel["verdict"] for channel in channels.values()]
     write_page(
         page,
-        f"Diagnosis of {Path(folder).name}",
+        f"Diagnosis of {folder.name}",
         summary=" ".join(f"{CHANNELS[name]}: {one['sentence']}" for name, one in channels.items()),
         verdict=next(one for one in VERDICTS if one in verdicts),
         template="session_diagnosis.html",
         made_by="diagnose presses",
-        errors=plots.before_after(_bars(channels), "RMSE on held-out presses, % of the RMS signal"),
+        errors=error_bars({CHANNELS[name]: one for name, one in channels.items()}),
         maps=maps,
         map_gain=MEAN_GAIN,
         residuals=residuals,
@@ -135,20 +134,6 @@ def diagnose_session(
     )
     write_record(record, out)
     return record
-
-
-def _bars(
-    channels: Mapping[str, Mapping[str, Any]],
-) -> list[tuple[str, float, float, float | None]]:
-    """Errors before and after and the noise floor of each channel, per cent of its signal."""
-    bars = []
-    for name, one in channels.items():
-        before, after = one["error_before"], one["error_after"]
-        per_unit = 100 * before["nrmse"] / before["rmse"] if before["rmse"] else 0.0
-        floor = one["noise_floor"]["rmse"]
-        floor_share = per_unit * floor if floor else None
-        bars.append((CHANNELS[name], 100 * before["nrmse"], 100 * after["nrmse"], floor_share))
-    return bars
 
 
 def _rows(title: str, channel: Mapping[str, Any]) -> list[tuple[str, str, str, Any]]:

@@ -23,9 +23,7 @@ the gel at rest. More flattens steep walls, by 1 % of a deep press's volume at 1
 SEARCH_PRIOR_GREY = 3.0
 """The same in the first search, whose colours are those of the middle of a tile: without it some
 pixels start at a steep slope of like colour, and stay there."""
-LEAST_CHANGE_GREY = (
-    2.0  # over the three colours: what changes less is nearly at rest, and starts there
-)
+LEAST_CHANGE_GREY = 2.0  # over the three colours: what changes less starts from rest
 STDERR_PIXELS = 4000  # of a contact: so many tell its residual to 1 %
 REFINEMENTS = 3  # of each slope between the grid's nodes
 

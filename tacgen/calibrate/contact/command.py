@@ -34,7 +34,7 @@ class ContactCalibration:
 
 @dataclass(frozen=True, slots=True)
 class LogSource:
-    """Where a press log is, and what its reader has to be told.
+    """A press log to read, with the options for reading it.
 
     ``path`` is a press log with volumes, depths or both, or a folder of press images with forces;
     of the last, ``table`` turns pictures into volumes. ``radius_mm`` is that of the ball where the

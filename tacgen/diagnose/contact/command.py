@@ -242,8 +242,8 @@ class _Channel:
     ) -> tuple[Errors, Errors]:
         """Errors on whole test trials, before and after; spikes do not count.
 
-        The extended law is scored with the columns of the log that it was fitted beside, each as
-        long as it lowers the error: an effect that a column shares is not to be judged without it.
+        The extended law is scored with the columns of the log that it was fitted beside: an effect
+        that a column shares is not to be judged without it.
         """
         rows = test.every_sample()
         kept = rows.weight > 0
@@ -255,13 +255,7 @@ class _Channel:
 
         model = attribution.final.fit.model
         before = scored(attribution.base.fit.model)
-        if not model.terms:
-            return before, before
-        after = scored(model)
-        for term in model.covariates:
-            less = model.without("", term.covariate)
-            if (without := scored(less)).rmse <= after.rmse:
-                model, after = less, without
+        after = scored(model) if model.terms else before
         return before, after
 
     def _gp_rmse(self, fitted: ChannelSamples, test: ChannelSamples, linear: Model) -> float:

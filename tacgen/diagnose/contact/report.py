@@ -24,10 +24,6 @@ def write_report(diagnosis: Diagnosis, path: Path, *, title: str) -> None:
     """Write the self-contained page."""
     record = diagnosis_record(diagnosis)
     channels = record["channels"]
-    bars = [
-        (name, 100 * c["error_before"]["nrmse"], 100 * c["error_after"]["nrmse"], _floor(c))
-        for name, c in channels.items()
-    ]
     verdicts = [channel["verdict"] for channel in channels.values()]
     write_page(
         path,
@@ -37,7 +33,7 @@ def write_report(diagnosis: Diagnosis, path: Path, *, title: str) -> None:
         template="contact_diagnosis.html",
         made_by="diagnose contact",
         record=record,
-        errors=plots.before_after(bars, "RMSE on held-out trials, % of the RMS signal"),
+        errors=error_bars(channels),
         correcting={
             name: {term.name: term.effect.free_amounts for term in found.final.model.terms}
             for name, found in diagnosis.channels.items()
@@ -50,6 +46,15 @@ def write_report(diagnosis: Diagnosis, path: Path, *, title: str) -> None:
         if diagnosis.markers is None
         else [diagnosis.markers.figure(extended=one) for one in (False, True)],
     )
+
+
+def error_bars(channels: Mapping[str, Mapping[str, Any]]) -> Figure:
+    """Errors before and after, and the noise floor, of each channel as its name has it."""
+    bars = [
+        (name, 100 * c["error_before"]["nrmse"], 100 * c["error_after"]["nrmse"], _floor(c))
+        for name, c in channels.items()
+    ]
+    return plots.before_after(bars, "RMSE on held-out presses, % of the RMS signal")
 
 
 def _floor(channel: Mapping[str, Any]) -> float | None:
