@@ -56,7 +56,7 @@ _NUMBERS = {
 """Numbers by the mark of their decimals; the other one may part thousands."""
 _WITH_UNIT = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([A-Za-zµμ³^]+3?)")
 _STAMP = re.compile(r"[\d\s:.,/+TZ-]*\d:\d\d[\d\s:.,+Z-]*([AaPp][Mm])?")
-_BROKEN_CELL = re.compile(r'(?m)(?:^|(?<=[;\t|,]))"[^"]*\n[^"]*"')  # of several lines
+_BROKEN_CELL = re.compile(r'(?m)(?:^|(?<=[;\t|,]))"[^"\n]*\n[^"]*"')  # of several lines
 _NOTHING = "No columns to parse from file"
 BLOCKS = ("blank lines", "pauses")
 """What may part presses that have no numbers: ``--column trial="blank lines"``."""
@@ -443,44 +443,46 @@ def _csv(path: Path) -> Table:
     lines = text.replace("\u2212", "-").split("\n")  # the sign that word processors write
     start, delimiter = _dialect(lines)
     header = lines[start].lstrip().lstrip(MARKS)
-    width = len(_split(header, delimiter))
+    width = len(_split(f"{header}{delimiter}end", delimiter)) - 1  # some may have no name
     _refuse_large(path, width * (len(lines) - start), LOG.max_cells, "cells")
     below = [
         "#" if _is_comment(line) else line.rstrip(f"{delimiter} ") for line in lines[start + 1 :]
     ]
     if delimiter == " ":
         header, *below = (" ".join(line.split()) for line in (header, *below))
-    cells = (
-        pd.read_csv(
-            io.StringIO("\n".join([*[""] * start, header, *below])),
-            skiprows=start,
-            sep=delimiter,
-            header=None,
-            names=range(width),
-            index_col=False,
-            dtype=object,
-            na_filter=False,
-            skip_blank_lines=False,
-            skipinitialspace=True,
-        )
-        .map(_cell)
-        .astype(object)
-    )
-    cells.index += start + 1
-    cells = cells[cells[0] != "#"]
+    texts = pd.read_csv(
+        io.StringIO("\n".join([*[""] * start, header, *below])),
+        skiprows=start,
+        sep=delimiter,
+        header=None,
+        names=range(width),
+        index_col=False,
+        dtype=object,
+        na_filter=False,
+        skip_blank_lines=False,
+        skipinitialspace=True,
+    ).to_numpy()
+    stated = np.array([*map(_cell, texts.ravel())], dtype=object).reshape(texts.shape)
+    cells = pd.DataFrame(stated, range(start + 1, start + 1 + len(stated)), dtype=object)
+    return _samples(path, cells, delimiter)
+
+
+def _samples(path: Path, cells: pd.DataFrame, delimiter: str) -> Table:
+    """The rows that are samples, under headers with their units, of all from the header on."""
+    cells = cells[~cells[0].str.startswith(COMMENT_MARKS)]
     names = cells.iloc[0]
-    kinds = pd.Series("row", cells.index)  # of the rows
-    kinds[(cells == "").all(axis=1)] = "blank"
-    kinds[(cells == names).all(axis=1)] = "header"
-    units = [""] * width
+    kinds = pd.Series("row", cells.index)
+    kinds[(cells.to_numpy() == "").all(axis=1)] = "blank"
+    kinds[(cells.to_numpy() == names.to_numpy()).all(axis=1)] = "header"
+    units = [""] * len(names)
     for row in kinds.index[(kinds == "row") & (kinds.shift() != "row")]:
         if found := units_in([*cells.loc[row]]):
             kinds[row] = "units"
             units = units if any(units) else found
-    next_kinds = kinds[kinds != "blank"].shift(-1)
-    for row in next_kinds.index[next_kinds == "header"]:
+    filled = kinds[kinds != "blank"]
+    for row in filled.index[(filled == "row") & (filled.shift(-1) == "header")]:
         title = [*filter(None, cells.loc[row])]
-        if kinds[row] == "row" and len(title) == 1 and not _is_number(title[0]):
+        if len(title) == 1 and not _is_number(title[0]):
             kinds[row] = "title"  # of the block that begins
     is_row, headers = kinds == "row", int((kinds == "header").sum())
     blocks = (is_row & ~is_row.shift(fill_value=False)).cumsum()[is_row] - 1
@@ -603,14 +605,13 @@ def _text(value: object) -> str:
     return _cell(value.decode() if isinstance(value, bytes) else str(value))
 
 
-def trial_number_problems(trial: FloatArray, path: Path, rows: Sequence[int]) -> list[str]:
+def trial_number_problems(trial: pd.Series, path: Path) -> list[str]:
     """Trials that are empty or no integers, a line each."""
-    wrong = np.flatnonzero(~(trial == np.round(trial)))
+    wrong = trial[~(trial == trial.round())]
     return [
-        f"{path}: row {rows[index]}: trial is "
-        f"{'empty' if np.isnan(trial[index]) else format(trial[index], 'g')}, not an integer; "
-        "give each press a number"
-        for index in wrong[: LOG.max_listed]
+        f"{path}: row {row}: trial is {'empty' if np.isnan(value) else f'{value:g}'}, not an "
+        "integer; give each press a number"
+        for row, value in wrong.iloc[: LOG.max_listed].items()
     ]
 
 

@@ -305,7 +305,7 @@ def _read_list(
     problems += missing_columns(frame, path, required, PRESSES)
     problems += wrong
     if "trial" in frame:
-        problems += trial_number_problems(frame["trial"].to_numpy(), path, frame.index)
+        problems += trial_number_problems(frame["trial"], path)
     if "radius_mm" in frame:
         empty = np.zeros(len(frame), bool) if is_given else table.cells["radius_mm"] == ""
         problems += _radius_problems(frame["radius_mm"], empty, path, "radius_mm" in required)

@@ -173,11 +173,11 @@ def press_log_of(table: LogTable, *, radius_mm: float | None = None) -> PressLog
     table.require("trial", "time_s", "force_normal_n", "volume_mm3 or depth_mm")
     table, spikes = _without_spikes(table)
     path, frame = table.path, table.frame
-    number = frame["trial"].to_numpy()
-    problems = [*table.problems, *trial_number_problems(number, path, frame.index)]
+    problems = [*table.problems, *trial_number_problems(frame["trial"], path)]
     PressError.raise_if(problems or value_problems(table))
-    order, moved = row_order(number.astype(np.int64), frame["time_s"].to_numpy())
-    frame = frame.iloc[order].astype({"trial": np.int64})
+    frame = frame.astype({"trial": np.int64})
+    order, moved = row_order(frame["trial"].to_numpy(), frame["time_s"].to_numpy())
+    frame = frame.iloc[order]
     columns: dict[str, NDArray[Any]] = {
         name: values.to_numpy() if values.dtype.kind in "fi" else np.asarray(values, dtype=str)
         for name, values in frame.items()

@@ -236,6 +236,10 @@ READ: dict[str, tuple[Callable[[pd.DataFrame], str | bytes], list[str]]] = {
         lambda f: plain(f, decimal=",", quoting=csv.QUOTE_ALL).replace('","', '", "'),
         [],
     ),
+    "a remark beside the table": (
+        lambda f: plain(f, sep=";").replace("\n", ";\n").replace(";\n2;", ";old gel\n2;", 1),
+        [],
+    ),
     "a quote in a comment": (lambda f: plain(f).replace("\n2,", '\n# gel,"soft\n2,', 1), []),
     "Excel's sep line": (lambda f: "sep=;\n" + german(f, "Trial", "Time", "Force", "Depth"), []),
     "quoted decimal commas": (
