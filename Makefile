@@ -93,7 +93,7 @@ trust: setup
 	$(BIN)/python -m validation.contact
 
 lock: setup
-	$(BIN)/uv pip compile pyproject.toml --extra dev --extra cluster --extra parquet --extra view --extra gym --extra docs --universal --python-version 3.11 --no-header --no-annotate --quiet --upgrade --output-file requirements.lock
+	$(BIN)/uv pip compile pyproject.toml --extra dev --extra cluster --extra parquet --extra view --extra mcap --extra gym --extra docs --universal --python-version 3.11 --no-header --no-annotate --quiet --upgrade --output-file requirements.lock
 	@echo "requirements-learn.lock pins torch by hand: its CPU and CUDA builds share a version"
 
 clean:

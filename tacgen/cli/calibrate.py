@@ -198,8 +198,8 @@ def calibrate_contact(
     log: Annotated[
         Path,
         Argument(
-            help="Press log with volumes or depths (CSV, Parquet), or images with forces; their "
-            "press log is written beside the law."
+            help="Press log with volumes or depths (CSV, Parquet), or images with forces (a folder "
+            "or a ROS 2 bag); their press log is written beside the law."
         ),
     ],
     out: Annotated[Path, Option(help="Contact law to write (contact.yaml).")],
@@ -226,6 +226,8 @@ def calibrate_contact(
     table: common.LogTableOption = None,
     markers: common.MarkersOption = None,
     sensor: common.MarkerSensorOption = None,
+    topic: common.TopicOption = None,
+    background: common.BackgroundOption = None,
     force: common.ForceFlag = False,
     json_output: common.JsonFlag = False,
 ) -> None:
@@ -236,11 +238,14 @@ def calibrate_contact(
     from tacgen.calibrate.contact.command import LogSource, result_text
     from tacgen.calibrate.contact.command import calibrate_contact as calibrate
     from tacgen.presses.lab_table import LogFormat
+    from tacgen.sensor.recordings import bag_files
 
     log_format = LogFormat.of_options(column or [], flip or [], force_unit)
-    measured = out.with_suffix(".csv") if log.is_dir() else log
+    measured = out.with_suffix(".csv") if log.is_dir() or bag_files(log) else log
     refuse_existing(force, out, *([measured] if measured != log else []))
-    source = LogSource(log, log_format, radius_mm, table, marker_pitch_mm, markers, sensor)
+    source = LogSource(
+        log, log_format, radius_mm, table, marker_pitch_mm, markers, sensor, topic or (), background
+    )
     result = calibrate(source, out, report, by=by, contact_point=contact_point)
     common.warn(result.warnings)
     typer.echo(result_text(result, json_output=json_output))
@@ -294,52 +299,73 @@ def friction(
 
 @common.app.command(rich_help_panel=common.CALIBRATION)
 def read(
-    images: Annotated[
-        list[Path],
-        Argument(help="Images of the sensor (PNG or JPEG), a folder of them, or a video."),
-    ],
     sensor: Annotated[str, Option(help="Name of the sensor, or the path of its YAML.")],
     out: Annotated[Path, Option(help="Folder for readings.csv and depth maps.")],
+    images: Annotated[
+        list[Path] | None,
+        Argument(
+            help="Images of the sensor (PNG or JPEG), a folder of them, a video, or a ROS 2 bag "
+            "(folder, .db3 or .mcap)."
+        ),
+    ] = None,
     table: Annotated[Path | None, Option(help="Table of `tacgen calibrate lookup`.")] = None,
     contact: Annotated[Path | None, Option(help="Law of `tacgen calibrate contact`.")] = None,
-    background: Annotated[Path | None, Option(help="Gel at rest; else the table's own.")] = None,
+    background: common.BackgroundOption = None,
+    topic: common.TopicOption = None,
+    camera: Annotated[
+        str | None,
+        Option(
+            help="Number of a camera, read as it comes; its first pictures are the gel at rest."
+        ),
+    ] = None,
+    record: Annotated[
+        Path | None, Option(help="With --camera: MCAP file to keep the pictures in.")
+    ] = None,
+    rerun: Annotated[
+        bool, Option("--rerun", help="Show pictures and depth in Rerun (the extra `view`).")
+    ] = False,
     json_output: common.JsonFlag = False,
 ) -> None:
-    """Read depth, contact, volume and force from images or a video of a calibrated sensor."""
+    """Read depth, contact, volume and force from images, a recording or a camera."""
     from tacgen.core.errors import SensorError
     from tacgen.core.progress import progress_counter
     from tacgen.core.safe_io import read_rgb
-    from tacgen.optics import load_table
-    from tacgen.sensor.read_image import ImageReader, read_files, reading_line
-    from tacgen.sensor.recordings import is_recording, read_recording
-    from tacgen.sensor.simulated import Sensor
+    from tacgen.sensor import recordings
+    from tacgen.sensor.bags import kept
+    from tacgen.sensor.read_image import ImageReader, read_files, reading_line, sensor_of
 
+    images = images or []
+    if (camera is None) == (not images) or (record and camera is None):
+        msg = "give images, a recording or --camera, one of them; --record goes with --camera"
+        raise SensorError(msg)
     at_rest = None if background is None else read_rgb(background)
-    # Of the sensor that took the pictures, which is that of the table.
-    geometry = load_table(table).geometry if table else {}
-    scale, dome = (geometry.get(name) for name in ("mm_per_px", "dome_radius_mm"))
-    known = Sensor(sensor, table, contact, mm_per_px=scale, dome_radius_mm=dome)
+    known = sensor_of(sensor, table, contact)
+    recording = None
+    if camera is not None:
+        recording = recordings.open_camera(camera, at_rest)
+    elif any(map(recordings.is_recording, images)):
+        if len(images) > 1:
+            msg = f"{images[0]} and {len(images) - 1} more: give one recording at a time"
+            raise SensorError(msg)
+        recording = recordings.open_recording(images[0], topic or ())
     if contact is None:
         k_n = known.law.k_n_mm3_per_n.value
         common.warn([f"no --contact: forces are by the published k_n = {k_n:g} mm³/N"])
-    reader = ImageReader(known, at_rest)
-    if any(map(is_recording, images)):
-        if len(images) > 1:
-            msg = f"{images[0]} and {len(images) - 1} more: give one folder or video at a time"
-            raise SensorError(msg)
-        with progress_counter("picture") as show:
-            found = read_recording(reader, images[0], out, show)
-        line = (
-            f"{found['file']}: {found['pictures']} pictures, {found['with_contact']} of a contact"
-        )
-        if found["largest_force_n"] is not None:
-            line += f", up to {found['largest_force_n']:.2f} N"
-        common.print_result(found, line, json_output)
-    else:
-        rows = read_files(reader, images, out)
+    if recording is None:
+        rows = read_files(ImageReader(known, at_rest), images, out)
         lines = [*map(reading_line, rows), str(out / "readings.csv")]
         common.print_result(rows, lines, json_output)
+    else:
+        common.note(recording.notes)
+        reader = ImageReader(known, recording.background_rgb if at_rest is None else at_rest)
+        if record is not None:
+            recording = kept(recording, record, reader.background_rgb)
+        watch = recordings.rerun_viewer() if rerun else None
+        with progress_counter("picture") as show:
+            found = recordings.read_recording(reader, recording, out, show, watch)
+        common.print_result(found, recordings.summary_line(found), json_output)
     files = {key: str(path) for key, path in (("table", table), ("contact", contact)) if path}
+    geometry = known.table.geometry if table else {}
     given = "".join(f", {key}={value!r}" for key, value in (files | geometry).items())
     call = f"tacgen.read_image(image_rgb, tacgen.Sensor({sensor!r}{given}))"
     common.hand_over(f"look at {out}; from Python: {call}")

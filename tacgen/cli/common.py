@@ -199,7 +199,14 @@ MarkersOption = Annotated[
     ),
 ]
 MarkerSensorOption = Annotated[
-    str | None, Option("--sensor", help="With --markers: the sensor's name, or its YAML file.")
+    str | None, Option("--sensor", help="Of --markers or a bag: the sensor's name or YAML file.")
+]
+TopicOption = Annotated[
+    list[str] | None,
+    Option(help="Of a bag with several: the topic of pictures, that of the gauge; repeatable."),
+]
+BackgroundOption = Annotated[
+    Path | None, Option(help="Picture of the gel at rest; else a recording's, or the table's own.")
 ]
 LogTableOption = Annotated[Path | None, Option(help="table.npz, to read volumes in images.")]
 

@@ -116,6 +116,7 @@ EXTRAS = {
     "parquet": ("pyarrow",),
     "cluster": ("submitit",),
     "view": ("rerun",),
+    "mcap": ("mcap",),
     "batch": ("warp",),
     "gym": ("gymnasium",),
 }

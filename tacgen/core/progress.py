@@ -32,7 +32,7 @@ def is_quiet() -> bool:
 
 @contextlib.contextmanager
 def progress_counter(unit: str, *, name: str = "tacgen", enabled: bool = True) -> Iterator[Show]:
-    """Yield a function ``show(done, total, note="")`` that displays the progress."""
+    """Yield a function ``show(done, total, note="")`` that displays the progress; 0: no total."""
     if not enabled or is_quiet():
         yield lambda done, total, note="": None
         return
@@ -42,7 +42,7 @@ def progress_counter(unit: str, *, name: str = "tacgen", enabled: bool = True) -
     with tqdm(unit=unit, desc=name, dynamic_ncols=True) as bar:
 
         def show(done: int, total: int, note: str = "") -> None:
-            bar.total = total
+            bar.total = total or None
             bar.set_postfix_str(note, refresh=False)
             bar.update(done - bar.n)  # whose rate is of what was done last
 
@@ -65,11 +65,12 @@ def _lines(unit: str, name: str) -> Show:
             return
         written_s = now_s
         left = ""
-        if done > n_then:
+        if done > n_then and total:
             left_min = (now_s - then_s) / 60 * (total - done) / (done - n_then)
             left = f", about {left_min:.0f} min left"
         end = f", {note}" if note else ""
-        print_status(f"{done} of {total} {unit}s{left}{end}", name)
+        of = f" of {total}" if total else ""
+        print_status(f"{done}{of} {unit}s{left}{end}", name)
 
     return show
 

@@ -154,6 +154,8 @@ class ImageRules:
     rows_at_once: int = 1000  # of the matrix of pictures against pictures
     compared_press_px: int = 40  # most columns that are compared, each a mean over at least
     block_px: int = 8  # pixels, which leaves little of a camera's noise
+    pause_s: float = 0.3  # without contact, after which a recording's next press begins: a hand or
+    # a stage takes longer to come back, a touch too light to be seen does not last so long
 
 
 LOG = LogRules()

@@ -35,6 +35,7 @@ from tacgen.optics.dots import (
     follow,
 )
 from tacgen.optics.reconstruct import Reconstructor
+from tacgen.optics.table import load_table
 from tacgen.sensor.simulated import Frame, Sensor
 
 LEAST_DEPTH_MM = 0.03
@@ -138,12 +139,12 @@ class ImageReader:
         self._reconstructor = Reconstructor(self.sensor.table, self.background_rgb, dome_mm)
         spots = find_spots(self.background_rgb)
         self._dots = spots.mask(spots.usable) if spots.usable.sum() >= MIN_TRACKED else None
-        self._pitch_mm, self._at_rest = math.nan, None
+        self.dot_pitch_mm, self._at_rest = math.nan, None
         if self._dots is not None:
             self._at_rest = self._in_grid(dots_at_rest(self.background_rgb))
             spacing_mm = self._at_rest.spacing_px * self.sensor.table.mm_per_px
             markers = self.sensor.description.markers
-            self._pitch_mm = markers.pitch_mm if markers else spacing_mm
+            self.dot_pitch_mm = markers.pitch_mm if markers else spacing_mm
 
     @cached_property
     def _curve(self) -> NDArray[np.float64]:
@@ -208,7 +209,7 @@ class ImageReader:
             none = f"no contact: the gel is nowhere deeper than {LEAST_DEPTH_MM} mm"
             none += " by more than its error" * is_noise
             return replace(reading, message="; ".join((none, *self._reconstructor.doubts)))
-        pitch_mm = math.nan if unseen else self._pitch_mm
+        pitch_mm = math.nan if unseen else self.dot_pitch_mm
         law, mm_per_px = self.sensor.law, self.sensor.table.mm_per_px
         reading = _with_forces(reading, law, mm_per_px, pitch_mm, self._curve)
         white = float((rgb[touched] == CLIPPED).any(axis=1).mean())
@@ -266,6 +267,13 @@ class ImageReader:
             )
             raise SensorError(msg)
         return image
+
+
+def sensor_of(name: str, table: Path | None = None, contact: Path | None = None) -> Sensor:
+    """The sensor that took pictures: of the geometry that its table states, if one is given."""
+    geometry = load_table(table).geometry if table else {}
+    scale, dome = (geometry.get(of) for of in ("mm_per_px", "dome_radius_mm"))
+    return Sensor(name, table, contact, mm_per_px=scale, dome_radius_mm=dome)
 
 
 def read_image(

@@ -1,27 +1,44 @@
-"""Recordings of a sensor, videos and folders of images, read picture by picture."""
+"""Recordings of a sensor, folders of images, videos, bags and cameras, read picture by picture."""
 
 import csv
 import math
-from collections.abc import Callable, Iterator
+import signal
+import time
+from collections.abc import Callable, Generator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from types import FrameType
+from typing import Any, TypeAlias
 
 import cv2
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.errors import SensorError, TableError
+from tacgen.core.errors import SensorError, TableError, require_extra
 from tacgen.core.files import atomic_path
+from tacgen.core.progress import print_status
 from tacgen.core.safe_io import IMAGE_SUFFIXES, read_rgb
+from tacgen.core.types import FloatArray
 from tacgen.report.figures import new_figure, thinned
 from tacgen.sensor.read_image import ImageReader
 
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv")
+BAG_SUFFIXES = (".mcap", ".db3", ".bag", ".zstd")
 MOST_MISSING = 0.02
 """Share of the pictures that a video's header counts and that it need not have: encoders drop some
 at the end; a video that was cut lacks more."""
+REST_PICTURES = 10
+"""Whose median is the gel at rest: less than half a second, and a third of one's noise."""
+LAGS_S = np.arange(-200, 201) * 0.005
+"""What is tried: drivers on one machine, or on machines kept by NTP, are less than 1 s apart."""
+LEAST_FOR_LAG, LEAST_EXPLAINED = 20, 0.5
+"""Pictures, and the share of their forces' squares that the gauge explains, that show a lag: by
+chance its three axes explain 0.15 of 20 pictures."""
+WRENCH_COLUMNS = ("wrench_x_n", "wrench_y_n", "wrench_z_n")
+"""The gauge's force at a picture's time, in the gauge's axes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,63 +50,219 @@ class Recorded:
     rgb: NDArray[np.uint8]
 
 
-def is_recording(path: Path) -> bool:
-    """Whether a path is a folder of images, or a video."""
-    return path.is_dir() or path.suffix.lower() in VIDEO_SUFFIXES
+@dataclass(frozen=True, slots=True)
+class Wrench:
+    """Forces (n, 3), N, of a topic in the gauge's own axes, at times (n,), s, that never fall."""
+
+    topic: str
+    time_s: FloatArray
+    force_n: FloatArray
+    most_gap_s: float
+
+    def at(self, time_s: FloatArray) -> FloatArray:
+        """Forces (..., 3) between the two beside each time; NaN outside, and in longer gaps."""
+        after = np.clip(np.searchsorted(self.time_s, time_s), 1, len(self.time_s) - 1)
+        start, end = self.time_s[after - 1], self.time_s[after]
+        share = (time_s - start) / np.maximum(end - start, 1e-9)
+        is_known = (share >= 0.0) & (share <= 1.0) & (end - start <= self.most_gap_s)
+        before = self.force_n[after - 1]
+        between = before + share[..., None] * (self.force_n[after] - before)
+        return np.where(is_known[..., None], between, np.nan)
+
+    def lag_s(self, time_s: FloatArray, force_n: FloatArray) -> float:
+        """How much later than the pictures (N,) its times are, s; NaN where that does not show.
+
+        That is where its three axes together explain most of the ``force_n`` (N,) that was read.
+        """
+        known = np.isfinite(force_n)
+        time_s, force_n = time_s[known], force_n[known]
+        explained = np.zeros(len(LAGS_S))
+        for k, lag_s in enumerate(LAGS_S):
+            felt = self.at(time_s + lag_s)
+            both = np.isfinite(felt).all(axis=1)
+            if both.sum() >= max(LEAST_FOR_LAG, len(time_s) / 2):
+                of, seen = np.column_stack([felt[both], np.ones(both.sum())]), force_n[both]
+                rest = seen - of @ np.linalg.lstsq(of, seen, rcond=None)[0]
+                explained[k] = 1.0 - rest.var() / max(float(seen.var()), 1e-12)
+        best = int(explained.argmax())
+        is_seen = explained[best] >= LEAST_EXPLAINED and 0 < best < len(LAGS_S) - 1
+        return float(LAGS_S[best]) if is_seen else math.nan
 
 
-def pictures_of(path: Path) -> tuple[int, Iterator[Recorded]]:
-    """How many pictures a recording states that it has, and these one by one.
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """A recording, open: ``pictures`` come one by one, ``stated`` of them, 0 where unknown.
 
-    Raises ``SensorError`` if there are none, and, after the last one, if a video is cut.
+    ``background_rgb`` (H, W, 3) is the gel at rest and ``wrench`` the forces of a gauge, where it
+    has them; ``notes`` are what the user should know. The pictures end in ``SensorError`` where it
+    is broken or cut.
     """
+
+    name: str
+    stated: int
+    pictures: Generator[Recorded]
+    background_rgb: NDArray[np.uint8] | None = None
+    wrench: Wrench | None = None
+    notes: tuple[str, ...] = ()
+
+
+Watch: TypeAlias = Callable[[Recorded, NDArray[np.float32], dict[str, Any]], None]
+"""What is shown each picture, with its depth (H, W), mm, and its row."""
+
+
+def is_recording(path: Path) -> bool:
+    """Whether a path is a folder of images, a video or a bag."""
+    return path.is_dir() or path.suffix.lower() in (*VIDEO_SUFFIXES, *BAG_SUFFIXES)
+
+
+def bag_files(path: Path) -> list[Path]:
+    """The files of a bag, which may be a folder, in the order of their numbers; none of another."""
+    files = [*path.iterdir()] if path.is_dir() else [path]
+    bags = (file for file in files if file.suffix in BAG_SUFFIXES)
+    return sorted(bags, key=lambda file: (len(file.name), file.name))
+
+
+def open_recording(path: Path, topics: Sequence[str] = ()) -> Recording:
+    """A recording; ``topics`` are those of a bag with its pictures and forces, or the only ones.
+
+    Raises ``SensorError`` if there are no pictures, or several topics to choose from.
+    """
+    if not path.exists():
+        msg = f"{path}: no such file; give a folder of images, a video or a bag"
+        raise SensorError(msg)
+    if files := bag_files(path):
+        from tacgen.sensor.bags import open_bag
+
+        return open_bag(path, files, topics)
+    if topics:
+        msg = f"{path}: --topic {topics[0]}: only a bag has topics"
+        raise SensorError(msg)
     if path.is_dir():
         files = sorted(f for f in path.iterdir() if f.suffix.lower() in IMAGE_SUFFIXES)
         if not files:
-            msg = f"{path}: no images in it; give a folder of PNG or JPEG files, or a video"
+            msg = f"{path}: no images in it; give a folder of PNG or JPEG files, a video or a bag"
             raise SensorError(msg)
-        return len(files), (Recorded(f.name, math.nan, read_rgb(f, SensorError)) for f in files)
-    video = cv2.VideoCapture(str(path)) if path.is_file() else None
-    if video is None or not video.isOpened():
-        what = "no such file" if video is None else "broken, cut, or in a format not known here"
+        pictures = (Recorded(f.name, math.nan, read_rgb(f, SensorError)) for f in files)
+        return Recording(str(path), len(files), pictures)
+    video = cv2.VideoCapture(str(path))
+    if not video.isOpened():
+        what = "broken, cut, or in a format not known here"
         msg = f"{path}: {what}; give a video that `ffmpeg -i {path.name} whole.mp4` can convert"
         raise SensorError(msg)
-    return max(int(video.get(cv2.CAP_PROP_FRAME_COUNT)), 0), _of_video(path, video)
+    stated = max(int(video.get(cv2.CAP_PROP_FRAME_COUNT)), 0)
+    return Recording(str(path), stated, _of_video(path, video, stated))
 
 
-def _of_video(path: Path, video: cv2.VideoCapture) -> Iterator[Recorded]:
-    stated, count = int(video.get(cv2.CAP_PROP_FRAME_COUNT)), 0
+def _of_video(path: Path, video: cv2.VideoCapture, stated: int) -> Generator[Recorded]:
+    count = 0
+    for time_s, rgb in _frames_of(video):
+        yield Recorded(f"{path.stem}_{count:06d}", time_s, rgb)
+        count += 1
+    if _is_cut(count, stated):
+        msg = f"{path}: it ends after {count} of {stated} pictures: broken or cut; record it anew"
+        raise SensorError(msg)
+
+
+def _is_cut(count: int, stated: int) -> bool:
+    return count < (1.0 - MOST_MISSING) * stated - 1 or not count
+
+
+def _frames_of(video: cv2.VideoCapture) -> Generator[tuple[float, NDArray[np.uint8]]]:
+    """Times, s, and pictures (H, W, 3), RGB, up to the last that can be read."""
     try:
         while True:
             time_s = video.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
             is_read, bgr = video.read()
             if not is_read:
-                break
+                return
             time_s = max(time_s, video.get(cv2.CAP_PROP_POS_MSEC) / 1000.0)
-            yield Recorded(f"{path.stem}_{count:06d}", time_s, np.ascontiguousarray(bgr[..., ::-1]))
-            count += 1
+            yield time_s, np.ascontiguousarray(bgr[..., ::-1])
     finally:
         video.release()
-    if count < (1.0 - MOST_MISSING) * stated - 1 or not count:
-        msg = f"{path}: it ends after {count} of {stated} pictures: broken or cut; record it anew"
+
+
+def open_camera(name: str, background_rgb: NDArray[np.uint8] | None) -> Recording:
+    """The pictures of a camera: its number, or what else OpenCV opens (a video, an address).
+
+    Without a background the first pictures are of the gel at rest. The recording ends with a video,
+    or at Ctrl-C; where the camera stops, with ``SensorError``. Raises it too if it gives none.
+    """
+    cv2.utils.logging.setLogLevel(0)  # what it says of a missing camera is said below
+    pictures = _as_they_come(name, cv2.VideoCapture(int(name) if name.isdecimal() else name))
+    if background_rgb is None:
+        print_status(f"camera {name}: touch nothing: {REST_PICTURES} pictures of the gel at rest")
+        at_rest = [picture.rgb for picture in islice(pictures, REST_PICTURES)]
+        if len(at_rest) < REST_PICTURES:
+            msg = f"camera {name}: {len(at_rest)} pictures make no background; start again"
+            raise SensorError(msg)
+        background_rgb = np.rint(np.median(at_rest, axis=0)).astype(np.uint8)
+    print_status(f"camera {name}: reading; Ctrl-C ends it")
+    return Recording(name, 0, pictures, background_rgb)
+
+
+def _as_they_come(name: str, video: cv2.VideoCapture) -> Generator[Recorded]:
+    count, stated = 0, int(video.get(cv2.CAP_PROP_FRAME_COUNT))
+    asked: list[int] = []
+
+    def ask(number: int, _frame: FrameType | None) -> None:
+        asked.append(number)
+        signal.signal(signal.SIGINT, before)  # a second time at once
+
+    before = signal.signal(signal.SIGINT, ask)
+    try:
+        for _, rgb in _frames_of(video):
+            if asked:
+                return
+            yield Recorded(f"{count:06d}", time.time(), rgb)
+            count += 1
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if not asked and (stated <= 0 or _is_cut(count, stated)):
+        what = f"it stopped after {count} pictures" if count else "it gives no picture"
+        msg = f"camera {name}: {what}; connect it, see that no other program has it, start again"
         raise SensorError(msg)
 
 
+def readings_of(
+    reader: ImageReader, recording: Recording
+) -> Generator[tuple[Recorded, NDArray[np.float32], dict[str, Any]]]:
+    """Each picture, its depth (H, W), mm, and its row: its numbers, and the gauge's at its time.
+
+    A picture that does not fit the sensor has a ``message`` that says so and no numbers. Raises
+    ``SensorError`` if that is the first one, or the recording is broken.
+    """
+    is_first = True
+    with closing(recording.pictures) as pictures:
+        for picture in pictures:
+            depth, numbers = _reading_of(reader, picture, is_first=is_first)
+            row = {"file": picture.name, "time_s": picture.time_s, **numbers}
+            if recording.wrench is not None:
+                force_n = recording.wrench.at(np.array(picture.time_s)).tolist()
+                row |= dict(zip(WRENCH_COLUMNS, force_n, strict=True))
+            yield picture, depth, row
+            is_first = False
+
+
 def read_recording(
-    reader: ImageReader, path: Path, out: Path, show: Callable[[int, int], None]
+    reader: ImageReader,
+    source: Recording | Path,
+    out: Path,
+    show: Callable[[int, int, str], None],
+    watch: Watch | None = None,
 ) -> dict[str, Any]:
     """Read every picture of a recording into the folder ``out``; returns a summary.
 
-    ``readings.csv`` has one row a picture, with ``file`` and ``time_s``; ``depth.h5`` holds
-    ``depth_mm`` (N, H, W) float32 and ``time_s`` (N,) in the same order; ``overview.png`` shows
-    force and depth over time. All is written as it is read, in memory that does not grow with the
-    recording but by its numbers. A picture that does not fit the sensor gets a row that says so;
-    ``show`` is given how many were read, of how many.
+    ``readings.csv`` has one row a picture, with ``file`` and ``time_s`` and, of a bag with a
+    gauge, the force beside it; ``depth.h5`` holds ``depth_mm`` (N, H, W) float32 and ``time_s``
+    (N,) in the same order; ``overview.png`` shows force and depth over time. All is written as it
+    is read, in memory that does not grow with the recording but by its numbers. A picture that does
+    not fit the sensor gets a row that says so; ``show`` is given how many were read, of how many (0
+    where unknown), and what the last one shows.
 
     Raises ``SensorError`` if the recording is broken, or its first picture does not fit; what was
     read before is kept.
     """
-    stated, pictures = pictures_of(path)
+    recording = source if isinstance(source, Recording) else open_recording(source)
     height, width = reader.background_rgb.shape[:2]
     out.mkdir(parents=True, exist_ok=True)
     course: list[tuple[float, float, float]] = []
@@ -97,6 +270,7 @@ def read_recording(
     with (
         (out / "readings.csv").open("w", newline="", encoding="utf-8") as table,
         h5py.File(out / "depth.h5", "w") as depths,
+        closing(readings_of(reader, recording)) as readings,
     ):
         maps = depths.create_dataset(
             "depth_mm", (0, height, width), "f4", maxshape=(None, height, width),
@@ -105,12 +279,10 @@ def read_recording(
         times = depths.create_dataset("time_s", (0,), "f8", maxshape=(None,), chunks=(1024,))
         writer = csv.writer(table)
         try:
-            for picture in pictures:
-                depth, row = _reading_of(reader, picture, is_first=not course)
+            for picture, depth, row in readings:
                 if not course:
-                    columns = ["file", "time_s", *row]
+                    columns = [*row]
                     writer.writerow(columns)
-                row |= {"file": picture.name, "time_s": picture.time_s}
                 writer.writerow([_text(row.get(name)) for name in columns])
                 table.flush()
                 count = len(course) + 1
@@ -120,23 +292,67 @@ def read_recording(
                 force, deep = (row.get(of) for of in ("force_normal_n", "indentation_mm"))
                 force, deep = (math.nan if x is None else float(x) for x in (force, deep))
                 course.append((picture.time_s, force, deep))
-                show(count, max(stated, count))
+                total = max(recording.stated, count) if recording.stated else 0
+                show(count, total, f"{force:.2f} N, {deep:.2f} mm")
+                if watch is not None:
+                    watch(picture, depth, row)
         except SensorError as error:
             stopped = str(error)
+    found = np.array(course)
     if course:
-        _write_overview(np.array(course), out / "overview.png")
+        _write_overview(found, out / "overview.png")
     if stopped:
         kept = f"; the readings of {len(course)} pictures are kept in {out}" if course else ""
         msg = f"{stopped}{kept}"
         raise SensorError(msg)
     forces = [force for _, force, _ in course if not math.isnan(force)]
     touched = sum(depth > 0 for *_, depth in course)
-    return {
+    summary = {
         "pictures": len(course),
         "with_contact": touched,
         "largest_force_n": max(forces, default=None),
         "file": str(out / "readings.csv"),
     }
+    if recording.wrench is not None and course:
+        lag_s = recording.wrench.lag_s(found[:, 0], found[:, 1])
+        summary["wrench"] = recording.wrench.topic
+        summary["wrench_lag_s"] = None if math.isnan(lag_s) else lag_s
+    return summary
+
+
+def summary_line(found: dict[str, Any]) -> str:
+    """What ``read_recording`` returns as a line of text."""
+    line = f"{found['file']}: {found['pictures']} pictures, {found['with_contact']} of a contact"
+    if found["largest_force_n"] is not None:
+        line += f", up to {found['largest_force_n']:.2f} N"
+    if "wrench" in found:
+        lag_s = found["wrench_lag_s"]
+        line += f"; the lag of {found['wrench']} behind the pictures "
+        line += "does not show" if lag_s is None else f"is {lag_s:.3f} s"
+    return line
+
+
+def rerun_viewer() -> Watch:
+    """Open the Rerun viewer; returns what shows a picture, its depth and its numbers there.
+
+    Raises ``SensorError`` if the extra ``view`` is missing.
+    """
+    require_extra("view", "--rerun needs", SensorError)
+    import rerun as rr
+
+    stream = rr.RecordingStream("tacgen")
+    stream.spawn()
+
+    def show(picture: Recorded, depth_mm: NDArray[np.float32], row: dict[str, Any]) -> None:
+        if not math.isnan(picture.time_s):
+            stream.set_time("time", timestamp=picture.time_s)
+        stream.log("picture", rr.Image(picture.rgb))
+        stream.log("depth", rr.DepthImage(depth_mm, meter=1.0))  # in mm
+        for name in ("force_normal_n", "indentation_mm"):
+            if row.get(name) is not None:
+                stream.log(name, rr.Scalars(row[name]))
+
+    return show
 
 
 def _reading_of(

@@ -14,7 +14,7 @@ import tacgen
 from tacgen.cli import app
 from tacgen.core.errors import SensorError
 from tacgen.sensor.read_image import ImageReader
-from tacgen.sensor.recordings import pictures_of, read_recording
+from tacgen.sensor.recordings import open_recording, read_recording
 
 FORCES_N = (0.0, 2.0, 4.0, 0.0)
 FPS = 25.0
@@ -44,7 +44,7 @@ def write_video(path, pictures):
     return path
 
 
-def nothing(done, total):
+def nothing(done, total, note):
     pass
 
 
@@ -97,12 +97,12 @@ def test_of_a_cut_video_what_was_read_is_kept(pictures, reader, tmp_path):
 def test_what_is_no_recording_is_refused(reader, tmp_path):
     (tmp_path / "broken.mp4").write_bytes(b"no video")
     with pytest.raises(SensorError, match="broken.mp4: broken, cut, or"):
-        pictures_of(tmp_path / "broken.mp4")
+        open_recording(tmp_path / "broken.mp4")
     with pytest.raises(SensorError, match="none.mp4: no such file"):
-        pictures_of(tmp_path / "none.mp4")
+        open_recording(tmp_path / "none.mp4")
     (tmp_path / "empty").mkdir()
     with pytest.raises(SensorError, match="no images in it"):
-        pictures_of(tmp_path / "empty")
+        open_recording(tmp_path / "empty")
 
 
 def test_a_picture_that_does_not_fit_gets_a_row_and_the_first_one_is_refused(

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,12 +13,15 @@ from tacgen.calibrate.lookup.table_fit import fit_lookup
 from tacgen.contact.law import ContactLaw, save_law
 from tacgen.core.errors import PressError
 from tacgen.core.files import atomic_path, refuse_other_page, sha256_of
+from tacgen.core.safe_io import read_rgb
 from tacgen.optics.table import load_table
 from tacgen.presses.lab_table import LogFormat, read_log_table
 from tacgen.presses.press_folder import WITH_FORCES, read_press_folder, read_presses
-from tacgen.presses.press_forces import MeasuredLog, measure_presses
+from tacgen.presses.press_forces import MeasuredLog, measure_presses, measure_recording
 from tacgen.presses.press_log import PLAIN, PressLog, press_log_of
 from tacgen.presses.screening import usable_presses
+from tacgen.sensor.read_image import ImageReader, sensor_of
+from tacgen.sensor.recordings import bag_files, open_recording
 
 CONTACT_POINTS = {"auto": None, "free": True, "fixed": False}
 
@@ -36,8 +40,9 @@ class ContactCalibration:
 class LogSource:
     """A press log to read, with the options for reading it.
 
-    ``path`` is a press log with volumes, depths or both, or a folder of press images with forces;
-    of the last, ``table`` turns pictures into volumes. ``radius_mm`` is that of the ball where the
+    ``path`` is a press log with volumes, depths or both, a folder of press images with forces, or a
+    bag of ``sensor`` and a gauge, of whose ``topics`` two are named where there are more; of the
+    last two, ``table`` turns pictures into volumes. ``radius_mm`` is that of the ball where the
     log does not say it, ``marker_pitch_mm`` of the dots whose motion it sums. ``markers`` are
     tracks of the dots of ``sensor``, a CSV file or such a folder.
     """
@@ -49,6 +54,8 @@ class LogSource:
     marker_pitch_mm: float | None = None
     markers: Path | None = None
     sensor: str | None = None
+    topics: Sequence[str] = ()
+    background: Path | None = None
 
     def read(self, save_log: Path) -> PressLog:
         """The press log; pictures are measured into ``save_log``.
@@ -56,8 +63,14 @@ class LogSource:
         Balls of unknown radius have no ``volume_mm3`` yet.
         """
         log, found = self.path, None
-        if log.is_dir():
-            log, found = _measure_images(log, self.table, save_log)
+        if bag_files(log):
+            found = self._measure_bag()
+        elif log.is_dir():
+            found = _measure_images(log, self.table)
+        if found is not None:
+            log = save_log
+            with atomic_path(log) as partial:
+                found.frame.to_csv(partial, index=False)
         read = press_log_of(read_log_table(log, self.log_format), radius_mm=self.radius_mm)
         if found is not None:
             read = replace(
@@ -68,6 +81,18 @@ class LogSource:
             )
         pitch_mm = self.marker_pitch_mm
         return read if pitch_mm is None else replace(read, marker_pitch_mm=pitch_mm)
+
+    def _measure_bag(self) -> MeasuredLog:
+        if self.sensor is None:
+            msg = f"{self.path}: which sensor took its pictures? Name it with --sensor"
+            raise PressError(msg)
+        recording = open_recording(self.path, self.topics)
+        at_rest = recording.background_rgb
+        if self.background is not None:
+            at_rest = read_rgb(self.background, PressError)
+        return measure_recording(
+            ImageReader(sensor_of(self.sensor, self.table), at_rest), recording
+        )
 
 
 def calibrate_contact(
@@ -118,8 +143,8 @@ def calibrate_contact(
     return ContactCalibration(fit, law, fit.warnings, field)
 
 
-def _measure_images(folder: Path, table: Path | None, log: Path) -> tuple[Path, MeasuredLog]:
-    """The press log that a folder of images with forces holds, written to ``log``."""
+def _measure_images(folder: Path, table: Path | None) -> MeasuredLog:
+    """The press log that a folder of images with forces holds."""
     images = read_press_folder(folder, WITH_FORCES)
     lookup = None
     if table is not None:
@@ -141,10 +166,8 @@ def _measure_images(folder: Path, table: Path | None, log: Path) -> tuple[Path, 
         warning = (
             f"{folder}: no --table given; volumes are computed with a table fitted to these images"
         )
-        found = replace(found, method="own table", warnings=(warning, *found.warnings))
-    with atomic_path(log) as partial:
-        found.frame.to_csv(partial, index=False)
-    return log, found
+        found = replace(found, warnings=(warning, *found.warnings))
+    return found
 
 
 def result_text(result: ContactCalibration, *, json_output: bool) -> str:
