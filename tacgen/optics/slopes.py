@@ -12,6 +12,8 @@ from tacgen.optics.image_models import ImageModel
 
 TILE_PX = 32
 """Over so few pixels the table's dependence on place is a small correction to a first guess."""
+BLOCK_PX = 16
+"""Pixels so near to each other are solved in turn: what they need of the table stays at hand."""
 LATTICE_CELLS, LATTICE_MARGIN_GREY = 40, 30.0
 """Of a tile's colours each way, some 6 grey levels wide, and how far around those of the table."""
 GRID_NODES = 101  # slopes a side: steps of 0.06, refined afterwards
@@ -105,9 +107,8 @@ class SlopeFinder:
             asked, slopes = np.ones(self._shape, np.bool_), np.empty_like(self.rest)
         else:
             asked, slopes = _differs(change, before[0]), before[1].copy()
-        start = self._near_rest, self.rest, change, wanted, asked, slopes
-        _start(*table, self._lattice, self._tile_px, *start)
-        _refine(*table, wanted, self.rest, asked, slopes)
+        pixels = self._near_rest, self.rest, change, wanted, asked, slopes
+        _find(*table, self._lattice, self._tile_px, *pixels)
         return slopes
 
     def _slopes_near_rest(self) -> FloatArray:
@@ -145,7 +146,7 @@ class SlopeFinder:
         return colors[0], colors[1], colors[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 def _corners(
     grid: NDArray[Any], place: tuple[float, float], node: tuple[int, int], to: NDArray[Any]
 ) -> None:
@@ -159,26 +160,22 @@ def _corners(
     down, across = np.float32(v - row), np.float32(u - column)
     size = 3 * m * m
     at = (row * n_columns + column) * size + (node[0] * m + node[1]) * 3
+    both = down * across
+    left, right = np.float32(1.0) - down - across + both, across - both
+    lower_left = down - both
     # Unsigned, since a signed index may count from the end, which costs as much as the rest.
-    one = np.float32(1.0)
-    shares = (
-        (one - down) * (one - across),
-        (one - down) * across,
-        down * (one - across),
-        down * across,
-    )
     a, b = np.uint64(at), np.uint64(at + size)
     c, d = np.uint64(at + n_columns * size), np.uint64(at + n_columns * size + size)
-    six = np.uint64(6)
-    for half in range(np.uint64(2)):
-        for t in range(six):
-            s = t + half * np.uint64(3 * m)
-            to[t + half * six] = (
-                shares[0] * flat[a + s]
-                + shares[1] * flat[b + s]
-                + shares[2] * flat[c + s]
-                + shares[3] * flat[d + s]
-            )
+    six, next_row = np.uint64(6), np.uint64(3 * m)
+    for t in range(six):
+        to[t] = (
+            left * flat[a + t] + right * flat[b + t] + lower_left * flat[c + t] + both * flat[d + t]
+        )
+    for t in range(six):
+        s = t + next_row
+        to[t + six] = (
+            left * flat[a + s] + right * flat[b + s] + lower_left * flat[c + s] + both * flat[d + s]
+        )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -232,41 +229,42 @@ def _differs(one: NDArray[Any], other: NDArray[Any]) -> NDArray[Any]:
 def _search(
     grid: NDArray[Any],
     lattice: tuple[NDArray[Any], ...],
-    wanted: NDArray[Any],
+    wanted: tuple[float, float, float],
     least_grey2: float,
     tile: tuple[int, int],
 ) -> int:
-    """Index in the grid's (m, m) of the slopes that the ``wanted`` colour (3,) is nearest to.
+    """Index in the grid's (m, m) of the slopes that the ``wanted`` colour is nearest to.
 
     Of those of the eight nearest cells of the tile, by the colours at the tile's middle;
     −1 where none is nearer than ``least_grey2``.
     """
     cells, corners, per_grey, flat_grey2 = lattice
-    last, (p, q) = cells.shape[2] - 1, tile
-    colors = grid.reshape(-1, 3)
+    n, (p, q) = cells.shape[2], tile
+    colors, of_cells, prices = grid.reshape(-1), cells.reshape(-1), flat_grey2
     first = (int(corners[p, q, 3]) * grid.shape[1] + int(corners[p, q, 4])) * len(flat_grey2)
-    red, green, blue = wanted[0], wanted[1], wanted[2]
+    red, green, blue = np.float32(wanted[0]), np.float32(wanted[1]), np.float32(wanted[2])
     a = int((red - corners[p, q, 0]) * per_grey[p, q, 0] - 0.5)
     b = int((green - corners[p, q, 1]) * per_grey[p, q, 1] - 0.5)
     c = int((blue - corners[p, q, 2]) * per_grey[p, q, 2] - 0.5)
-    found, before = -1, -1
-    for which in range(8):
-        i = min(max(a + which // 4, 0), last)
-        j = min(max(b + which // 2 % 2, 0), last)
-        at = int(cells[p, q, i, j, min(max(c + which % 2, 0), last)])
-        if at in (before, found):
-            continue
-        before = at
-        k = first + at
-        away = flat_grey2[at] + (red - colors[k, 0]) ** 2
-        away += (green - colors[k, 1]) ** 2 + (blue - colors[k, 2]) ** 2
-        if away < least_grey2:
-            found, least_grey2 = at, away
+    of_tile, found, least = (p * cells.shape[1] + q) * n, -1, np.float32(least_grey2)
+    for i in range(a, a + 2):
+        of_red = (of_tile + min(max(i, 0), n - 1)) * n
+        for j in range(b, b + 2):
+            of_green = (of_red + min(max(j, 0), n - 1)) * n
+            for k in range(c, c + 2):
+                at = of_cells[np.uint64(of_green + min(max(k, 0), n - 1))]
+                at_color = np.uint64(3 * (first + at))
+                away = (red - colors[at_color]) ** 2
+                away += (green - colors[at_color + np.uint64(1)]) ** 2
+                away += (blue - colors[at_color + np.uint64(2)]) ** 2
+                away += prices[np.uint64(at)]
+                if away < least:
+                    found, least = int(at), away
     return found
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _start(
+def _find(
     grid: NDArray[Any],
     steepest: float,
     lattice: tuple[NDArray[Any], ...],
@@ -278,104 +276,102 @@ def _start(
     asked: NDArray[Any],
     slopes: NDArray[Any],
 ) -> None:
-    """Write the first ``slopes`` (h, w, 2) of a ``change`` to ``wanted`` colours where ``asked``.
+    """Write the ``slopes`` (h, w, 2) of a ``change`` to ``wanted`` colours where ``asked``.
 
     Where the gel at rest explains a colour as well as the ``lattice``'s slopes, or nearly all of
-    it, it is at rest. Next to that ``near_rest`` gives the slopes, and nothing more is asked.
+    it, the first guess is rest. Next to that ``near_rest`` gives the slopes, and no more is asked.
+    Tile by tile, whose colours stay at hand.
     """
     height, width = slopes.shape[:2]
-    m = grid.shape[2]
+    last_row, last_column = lattice[1].shape[0] - 1, lattice[1].shape[1] - 1
+    near, m = np.empty(12, np.float32), grid.shape[2]
     node = 2.0 * steepest / (m - 1)
-    for r in range(height):
-        p = min(r // tile_px, lattice[1].shape[0] - 1)
-        for k in range(width):
-            if not asked[r, k]:
-                continue
-            one, two, three = change[r, k, 0], change[r, k, 1], change[r, k, 2]
-            slopes[r, k, 0], slopes[r, k, 1] = rest[r, k, 0], rest[r, k, 1]
-            square = one * one + two * two + three * three
-            if square > LEAST_CHANGE_GREY**2:
-                at = _search(
-                    grid,
-                    lattice,
-                    wanted[r, k],
-                    square,
-                    (p, min(k // tile_px, lattice[1].shape[1] - 1)),
-                )
-                if at >= 0:
-                    slopes[r, k, 0] = (at % m) * node - steepest
-                    slopes[r, k, 1] = (at // m) * node - steepest
-                continue
-            i, j = 0, 0
-            for _ in range(2):
-                by = near_rest[r, k, i, j]
-                x = by[0, 0] * one + by[0, 1] * two + by[0, 2] * three
-                y = by[1, 0] * one + by[1, 1] * two + by[1, 2] * three
-                if (x < 0) == i and (y < 0) == j:
-                    break
-                i, j = int(x < 0), int(y < 0)
-            if max(abs(x), abs(y)) < node:
-                slopes[r, k, 0] += x
-                slopes[r, k, 1] += y
-                asked[r, k] = False
+    across = -(-width // BLOCK_PX)
+    for block in range(across * -(-height // BLOCK_PX)):
+        top, left = block // across * BLOCK_PX, block % across * BLOCK_PX
+        tile = min(top // tile_px, last_row), min(left // tile_px, last_column)
+        for r in range(top, min(top + BLOCK_PX, height)):
+            for k in range(left, min(left + BLOCK_PX, width)):
+                if not asked[r, k]:
+                    continue
+                color = wanted[r, k, 0], wanted[r, k, 1], wanted[r, k, 2]
+                at_rest = rest[r, k, 0], rest[r, k, 1]
+                start, is_found = at_rest, False
+                one, two, three = change[r, k, 0], change[r, k, 1], change[r, k, 2]
+                square = one * one + two * two + three * three
+                if square > LEAST_CHANGE_GREY**2:
+                    at = _search(grid, lattice, color, square, tile)
+                    if at >= 0:
+                        start = (at % m) * node - steepest, (at // m) * node - steepest
+                else:
+                    i, j = 0, 0
+                    for _ in range(2):
+                        by = near_rest[r, k, i, j]
+                        x = by[0, 0] * one + by[0, 1] * two + by[0, 2] * three
+                        y = by[1, 0] * one + by[1, 1] * two + by[1, 2] * three
+                        if (x < 0) == i and (y < 0) == j:
+                            break
+                        i, j = int(x < 0), int(y < 0)
+                    is_found = max(abs(x), abs(y)) < node
+                    start = at_rest[0] + x * is_found, at_rest[1] + y * is_found
+                if not is_found:
+                    place = (r + 0.5) / height, (k + 0.5) / width
+                    start = _refined(grid, steepest, place, color, at_rest, start, near)
+                slopes[r, k, 0], slopes[r, k, 1] = start
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _refine(
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+def _refined(
     grid: NDArray[Any],
     steepest: float,
-    wanted: NDArray[Any],
-    rest: NDArray[Any],
-    asked: NDArray[Any],
-    slopes: NDArray[Any],
-) -> None:
-    """Gauss–Newton steps of ``slopes`` (h, w, 2) where ``asked`` (h, w), towards ``wanted``.
+    place: tuple[float, float],
+    wanted: tuple[float, float, float],
+    rest: tuple[float, float],
+    start: tuple[float, float],
+    near: NDArray[Any],
+) -> tuple[float, float]:
+    """Slopes by Gauss–Newton steps from ``start`` towards a ``wanted`` colour.
 
-    On the squared difference of colours, with a weak prior for the slopes ``rest`` (h, w, 2).
+    On the squared difference of colours, with a weak prior for the slopes at ``rest``; ``near``
+    (12,) is room for colours.
     """
-    height, width = slopes.shape[:2]
-    prior, m = SLOPE_PRIOR_GREY**2, grid.shape[2]
+    m = grid.shape[2]
     per_slope = (m - 1) / (2.0 * steepest)
-    near = np.empty(12, np.float32)
-    for r in range(height):
-        for k in range(width):
-            if not asked[r, k]:
-                continue
-            place = (r + 0.5) / height, (k + 0.5) / width
-            rest_x, rest_y = rest[r, k, 0] * per_slope, rest[r, k, 1] * per_slope
-            x, y = slopes[r, k, 0] * per_slope, slopes[r, k, 1] * per_slope
-            before_i, before_j = -1, -1
-            for _ in range(REFINEMENTS):
-                # In nodes from here on; just below the last one, so that there always is a next.
-                u, v = min(x + 0.5 * (m - 1), m - 1.001), min(y + 0.5 * (m - 1), m - 1.001)
-                i, j = int(v), int(u)
-                if i != before_i or j != before_j:
-                    _corners(grid, place, (i, j), near)
-                    before_i, before_j = i, j
-                fy, fx = v - i, u - j
-                xx, yy, xy = prior / per_slope**2, prior / per_slope**2, 0.0
-                bx, by = xx * (rest_x - x), yy * (rest_y - y)
-                for c in range(3):
-                    upper = near[c] + fx * (near[3 + c] - near[c])
-                    lower = near[6 + c] + fx * (near[9 + c] - near[6 + c])
-                    by_x = (1.0 - fy) * (near[3 + c] - near[c]) + fy * (near[9 + c] - near[6 + c])
-                    by_y = lower - upper
-                    off = wanted[r, k, c] - upper - fy * by_y
-                    xx += by_x * by_x
-                    yy += by_y * by_y
-                    xy += by_x * by_y
-                    bx += by_x * off
-                    by += by_y * off
-                per = 1.0 / (xx * yy - xy * xy)
-                step_x, step_y = (yy * bx - xy * by) * per, (xx * by - xy * bx) * per
-                x += min(max(step_x, -LONGEST_STEP_NODES), LONGEST_STEP_NODES)
-                y += min(max(step_y, -LONGEST_STEP_NODES), LONGEST_STEP_NODES)
-                x = min(max(x, -0.5 * (m - 1)), 0.5 * (m - 1))
-                y = min(max(y, -0.5 * (m - 1)), 0.5 * (m - 1))
-                # Colours are nearly linear between four nodes: in there one step is enough.
-                if int(y + 0.5 * (m - 1)) == i and int(x + 0.5 * (m - 1)) == j:
-                    break
-            slopes[r, k, 0], slopes[r, k, 1] = x / per_slope, y / per_slope
+    prior, half = np.float32(SLOPE_PRIOR_GREY**2 / per_slope**2), np.float32(0.5 * (m - 1))
+    rest_x, rest_y = np.float32(rest[0] * per_slope), np.float32(rest[1] * per_slope)
+    x, y = np.float32(start[0] * per_slope), np.float32(start[1] * per_slope)
+    last, longest, one = np.float32(m - 1.001), np.float32(LONGEST_STEP_NODES), np.float32(1.0)
+    before_i, before_j = -1, -1
+    for _ in range(REFINEMENTS):
+        # In nodes from here on; just below the last one, so that there always is a next.
+        u, v = min(x + half, last), min(y + half, last)
+        i, j = int(v), int(u)
+        if i != before_i or j != before_j:
+            _corners(grid, place, (i, j), near)
+            before_i, before_j = i, j
+        fy, fx = np.float32(v - i), np.float32(u - j)
+        xx, yy, xy = prior, prior, np.float32(0.0)
+        bx, by = prior * (rest_x - x), prior * (rest_y - y)
+        for c in range(np.uint64(3)):
+            first, second = near[c], near[c + np.uint64(3)]
+            third, fourth = near[c + np.uint64(6)], near[c + np.uint64(9)]
+            upper = first + fx * (second - first)
+            by_y = third + fx * (fourth - third) - upper
+            by_x = (one - fy) * (second - first) + fy * (fourth - third)
+            off = np.float32(wanted[c]) - upper - fy * by_y
+            xx += by_x * by_x
+            yy += by_y * by_y
+            xy += by_x * by_y
+            bx += by_x * off
+            by += by_y * off
+        per = one / (xx * yy - xy * xy)
+        x += min(max((yy * bx - xy * by) * per, -longest), longest)
+        y += min(max((xx * by - xy * bx) * per, -longest), longest)
+        x, y = min(max(x, -half), half), min(max(y, -half), half)
+        # Colours are nearly linear between four nodes: in there one step is enough.
+        if int(y + half) == i and int(x + half) == j:
+            break
+    return x / per_slope, y / per_slope
 
 
 def _cartesian(model: ImageModel, steepest: float) -> NDArray[np.float32]:
