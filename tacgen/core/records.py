@@ -378,13 +378,14 @@ def csv_problem(error: Exception) -> str:
     if cells:
         expected, line, found = cells.groups()
         return f"line {line} has {found} cells, the header {expected}; quote cells with commas"
+    if quote := re.search(r"EOF inside string starting at row (\d+)", str(error)):
+        return f"line {int(quote[1]) + 1} opens a quote that is not closed; close or delete it"
     if isinstance(error, UnicodeDecodeError):
         return f"byte {error.start} is not UTF-8 text; save it as comma-separated UTF-8 text"
     if isinstance(error, OSError):
         return f"{error.strerror or error}; check the path and its permissions"
     known = {
         "an Excel workbook": "it is an Excel workbook; save its sheet as CSV",
-        "quote that is not closed": f"there is {error}; close or delete it",
         "No columns to parse": "it is empty; write a header and one row each below it",
     }
     other = "it is not comma-separated text; save it as comma-separated UTF-8 text"

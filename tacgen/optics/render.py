@@ -29,6 +29,10 @@ Effects = Mapping[str, Mapping[str, float]]
 """Effect → parameter → value, as in a table."""
 
 
+DEPTH_LEVELS = 8
+"""Into which a deformation is cut to see how far the shadows of each of its depths reach."""
+
+
 @dataclass(frozen=True, slots=True)
 class ActiveEffect:
     """An effect with the values that a table gives it, and what it prepared of the table."""
@@ -90,6 +94,30 @@ class Shader:
         reaches = [active.reach_px(depth_mm, self.table.mm_per_px) for active in self._image]
         return max((reach + 1 for reach in reaches if reach), default=0)
 
+    def seen_window(self, deformation_mm: NDArray[np.float32], window: Window) -> Window:
+        """Where a deformation (h, w) over a window changes the image: shallow parts reach less."""
+        lit = grown(window, self.slope_reach_px, self.table.shape_px)
+        seen = grown(lit, self.image_reach_px(0.0), self.table.shape_px)
+        by_row, by_column = (deformation_mm.max(axis=k, initial=0.0) for k in (1, 0))
+        deepest_mm = float(by_row.max(initial=0.0))
+        for k in range(DEPTH_LEVELS):
+            rows, columns = (
+                np.flatnonzero(by > k / DEPTH_LEVELS * deepest_mm) for by in (by_row, by_column)
+            )
+            if not rows.size:
+                break
+            deep = (
+                *(window[0] + int(rows[0]), window[0] + int(rows[-1]) + 1),
+                *(window[2] + int(columns[0]), window[2] + int(columns[-1]) + 1),
+            )
+            reach_px = self.image_reach_px((k + 1) / DEPTH_LEVELS * deepest_mm)
+            part = grown(deep, reach_px, self.table.shape_px)
+            seen = (
+                *(min(seen[0], part[0]), max(seen[1], part[1])),
+                *(min(seen[2], part[2]), max(seen[3], part[3])),
+            )
+        return seen
+
     def _margin_px(self, active: ActiveEffect) -> int:
         return active.reach_px(0.0, self.table.mm_per_px) + 2
 
@@ -132,7 +160,7 @@ class Shader:
             self._v[top:bottom, None],
             self.table.mm_per_px,
             window,
-            height_map_mm[top:bottom, left:right],
+            height_map_mm,
         )
 
     def _on_surface(
@@ -274,8 +302,7 @@ class Renderer:
         spans = shade.changed_spans(deformation_mm, window, lit, shader.slope_reach_px)
         seen, drawn = lit, spans
         if shader.finishes:
-            reach_px = shader.image_reach_px(float(deformation_mm.max(initial=0.0)))
-            seen = grown(lit, reach_px, self._rest_mm.shape)
+            seen = shader.seen_window(deformation_mm, window)
             drawn = shade.whole_spans(seen)
             shade.restore(self._image, self._rest_lit, seen, drawn, lit, spans)
         before = self._changed, self._changed_spans

@@ -49,7 +49,7 @@ class SlopeFinder:
         self._shape = rest.shape[0], rest.shape[1]
         if larger is None:
             self.grid, self._tile_px = _cartesian(model, steepest), TILE_PX
-            self._lattice = _lattice_of(self.grid, steepest, self._shape)
+            self._lattice = _Lattice(self.grid, steepest, self._shape)
         else:
             self.grid, self._lattice = larger.grid, larger._lattice
             self._tile_px = larger._tile_px // 2
@@ -107,8 +107,9 @@ class SlopeFinder:
             asked, slopes = np.ones(self._shape, np.bool_), np.empty_like(self.rest)
         else:
             asked, slopes = _differs(change, before[0]), before[1].copy()
+        self._lattice.make(change, self._tile_px)
         pixels = self._near_rest, self.rest, change, wanted, asked, slopes
-        _find(*table, self._lattice, self._tile_px, *pixels)
+        _find(*table, self._lattice.arrays, self._tile_px, *pixels)
         return slopes
 
     def _slopes_near_rest(self) -> FloatArray:
@@ -126,9 +127,15 @@ class SlopeFinder:
         solve = np.empty((*self._shape, 2, 2, 2, 3), np.float32)
         for x in range(2):
             for y in range(2):
-                columns = np.stack([by[0, x], by[1, y]], axis=-2)
-                normal = columns @ columns.swapaxes(-1, -2) + SLOPE_PRIOR_GREY**2 * np.eye(2)
-                solve[..., x, y, :, :] = np.linalg.solve(normal, columns)
+                one, other = by[0, x], by[1, y]
+                xx, yy, xy = (
+                    np.einsum("hwc,hwc->hw", *pair)[..., None]
+                    for pair in ((one, one), (other, other), (one, other))
+                )
+                xx, yy = xx + SLOPE_PRIOR_GREY**2, yy + SLOPE_PRIOR_GREY**2
+                per = 1.0 / (xx * yy - xy**2)
+                solve[..., x, y, 0, :] = (yy * one - xy * other) * per
+                solve[..., x, y, 1, :] = (xx * other - xy * one) * per
         return solve
 
     def _colors_everywhere(self, slopes: FloatArray) -> FloatArray:
@@ -384,34 +391,50 @@ def _cartesian(model: ImageModel, steepest: float) -> NDArray[np.float32]:
     return np.ascontiguousarray(grid.transpose(2, 3, 0, 1, 4))
 
 
-def _lattice_of(
-    grid: NDArray[np.float32], steepest: float, shape_px: tuple[int, int]
-) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """The slopes of colours in the tiles of a picture.
+class _Lattice:
+    """The slopes of colours in the tiles of a picture, made where a picture asks for them.
 
-    Cells (rows, columns, n, n, n) of colour hold the index in the grid's (m, m) of the slopes whose
-    colour at the middle of the tile is nearest. The second array (rows, columns, 5) is the corner
-    of the first cell with the middle's row and column in the grid, the third cells a grey level,
-    the last (m · m,) the price of a slope's steepness.
+    ``arrays`` are cells (rows, columns, n, n, n) of colour, which hold the index in the grid's
+    (m, m) of the slopes whose colour at the middle of the tile is nearest; the corner of the first
+    cell (rows, columns, 5) with the middle's row and column in the grid; cells a grey level
+    (rows, columns, 3); the price (m · m,) of a slope's steepness.
     """
-    tops, lefts = (range(0, size, TILE_PX) for size in shape_px)
-    axis = np.linspace(-steepest, steepest, GRID_NODES)
-    steepness = np.hypot(axis[:, None], axis[None, :]).ravel()
-    nodes = np.flatnonzero(steepness <= steepest)
-    flat_grey2 = ((SEARCH_PRIOR_GREY * steepness) ** 2).astype(np.float32)
-    cells = np.empty((len(tops), len(lefts), *[LATTICE_CELLS] * 3), np.int16)
-    corners, per_grey = (np.empty((len(tops), len(lefts), n)) for n in (5, 3))
-    for p, top in enumerate(tops):
-        for q, left in enumerate(lefts):
-            ends = np.minimum([top + TILE_PX, left + TILE_PX], shape_px)
-            middle = (np.array([top, left]) + ends) / 2 / np.array(shape_px)
-            row, column = np.rint(middle * (np.array(grid.shape[:2]) - 1)).astype(int).tolist()
-            colors = grid[row, column].reshape(-1, 3)[nodes].astype(np.float64)
-            first = colors.min(axis=0) - LATTICE_MARGIN_GREY
-            width = (colors.max(axis=0) + LATTICE_MARGIN_GREY - first) / LATTICE_CELLS
-            corners[p, q], per_grey[p, q] = (*first, row, column), 1.0 / width
-            _fill(cells[p, q], colors - first, width, flat_grey2[nodes], nodes)
-    return cells, corners, per_grey, flat_grey2
+
+    def __init__(
+        self, grid: NDArray[np.float32], steepest: float, shape_px: tuple[int, int]
+    ) -> None:
+        size = -(-shape_px[0] // TILE_PX), -(-shape_px[1] // TILE_PX)
+        axis = np.linspace(-steepest, steepest, GRID_NODES)
+        steepness = np.hypot(axis[:, None], axis[None, :]).ravel()
+        self._grid, self._shape = grid, shape_px
+        self._nodes = np.flatnonzero(steepness <= steepest)
+        self._is_made = np.zeros(size, np.bool_)
+        prices = ((SEARCH_PRIOR_GREY * steepness) ** 2).astype(np.float32)
+        cells = np.empty((*size, *[LATTICE_CELLS] * 3), np.int16)
+        self.arrays = cells, np.empty((*size, 5)), np.empty((*size, 3)), prices
+
+    def make(self, change: FloatArray, tile_px: int) -> None:
+        """Make the tiles in which a change of grey levels (h, w, 3) is to be explained."""
+        asks = np.square(change).sum(axis=2) > LEAST_CHANGE_GREY**2
+        rows, columns = self._is_made.shape
+        for p, q in np.argwhere(~self._is_made).tolist():
+            below = None if p == rows - 1 else (p + 1) * tile_px
+            after = None if q == columns - 1 else (q + 1) * tile_px
+            if asks[p * tile_px : below, q * tile_px : after].any():
+                self._make(p, q)
+                self._is_made[p, q] = True
+
+    def _make(self, p: int, q: int) -> None:
+        cells, corners, per_grey, prices = self.arrays
+        first_px = np.array([p, q]) * TILE_PX
+        ends = np.minimum(first_px + TILE_PX, self._shape)
+        middle = (first_px + ends) / 2 / np.array(self._shape)
+        row, column = np.rint(middle * (np.array(self._grid.shape[:2]) - 1)).astype(int).tolist()
+        colors = self._grid[row, column].reshape(-1, 3)[self._nodes].astype(np.float64)
+        first = colors.min(axis=0) - LATTICE_MARGIN_GREY
+        width = (colors.max(axis=0) + LATTICE_MARGIN_GREY - first) / LATTICE_CELLS
+        corners[p, q], per_grey[p, q] = (*first, row, column), 1.0 / width
+        _fill(cells[p, q], colors - first, width, prices[self._nodes], self._nodes)
 
 
 @njit(cache=True, nogil=True)
@@ -439,12 +462,16 @@ def _fill(
         step = 1 - 2 * (sweep % 2)
         at = at if step > 0 else n**3 - 1 - at
         a, b, c = at // (n * n), at // n % n, at % n
+        before = np.int32(-1)
         for which in range(1, 8):
             # The neighbours that were swept before, along the axes and diagonals.
             i, j, k = a - which % 2 * step, b - which // 2 % 2 * step, c - which // 4 * step
-            if min(i, j, k) < 0 or max(i, j, k) >= n or owner[i, j, k] < 0:
+            if min(i, j, k) < 0 or max(i, j, k) >= n:
                 continue
             node = owner[i, j, k]
+            if node < 0 or node == owner[a, b, c] or node == before:
+                continue
+            before = node
             away = flat_grey2[node] + _apart((a, b, c), width, colors[node])
             if away < far[a, b, c]:
                 far[a, b, c], owner[a, b, c] = away, node

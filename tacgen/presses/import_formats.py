@@ -24,7 +24,7 @@ from tacgen.core.progress import print_status
 from tacgen.core.safe_io import check_archive, decode_rgb, read_rgb
 from tacgen.core.types import BoolArray, FloatArray
 from tacgen.presses.circles import find_circle
-from tacgen.presses.lab_table import numeric_columns, read_table
+from tacgen.presses.lab_table import Table, read_table
 from tacgen.presses.press_folder import COORDINATES, STAGE
 from tacgen.presses.rules import IMAGES
 
@@ -129,14 +129,14 @@ def read_gs_sdk(source: Path, mm_per_px: float | None, ball_radius_mm: float | N
     Source: layout as read by gs_sdk's ``calibration/prepare_data.py``; the ball's diameter stands
     in ``catalog.csv``, centre (x, y) and radius of the contact, px, in ``label.npz``.
     """
-    catalog = _table(source / "catalog.csv", ("experiment_reldir", "diameter(mm)"))
-    diameters = _numbers(catalog, source / "catalog.csv", "diameter(mm)")["diameter(mm)"]
-    others = [name for name in catalog if name not in ("diameter(mm)", "file", *COORDINATES)]
+    diameter = "diameter(mm)"
+    catalog = _list(source / "catalog.csv", ("experiment_reldir", diameter), (diameter,))
+    others = [name for name in catalog if name not in (diameter, "file", *COORDINATES)]
 
     def presses() -> Iterator[ForeignPress]:
-        for row, diameter in zip(catalog.to_dict("records"), diameters.tolist(), strict=True):
+        for row in catalog.to_dict("records"):
             folder = _inside(source, row["experiment_reldir"])
-            radius_mm = ball_radius_mm or diameter / 2
+            radius_mm = ball_radius_mm or row[diameter] / 2
             columns: dict[str, Any] = {"radius_mm": radius_mm}
             if is_file(folder / "label.npz"):
                 columns |= dict(zip(COORDINATES, _gs_sdk_label(folder / "label.npz"), strict=True))
@@ -170,12 +170,12 @@ def read_py3dcal(source: Path, mm_per_px: float | None, ball_radius_mm: float | 
     from it where it is less than the ball's radius and the pictures agree.
     """
     folder = source / "annotations"
-    table = _table(folder / "annotations.csv", ("img_name", "x_px", "y_px"))
+    depth = "penetration_depth_mm"
+    needed, numeric = ("img_name", "x_px", "y_px"), ("x_px", "y_px", depth, *STAGE)
+    table = _list(folder / "annotations.csv", needed, numeric)
     known = _json(folder / "metadata.json", ("px_per_mm", "probe_radius_mm"))
     radius_mm = ball_radius_mm or known["probe_radius_mm"]
-    depth = "penetration_depth_mm"
-    named = _numbers(table, folder / "annotations.csv", "x_px", "y_px", depth, *STAGE)
-    depth_mm = np.abs(named.get(depth, np.full(len(table), np.nan)))
+    depth_mm = np.abs(table.get(depth, pd.Series(np.nan, table.index)).to_numpy())
     notes = []
     unknown = int(np.isnan(depth_mm).sum())
     if unknown:
@@ -183,7 +183,7 @@ def read_py3dcal(source: Path, mm_per_px: float | None, ball_radius_mm: float | 
     touching = ~(depth_mm == 0)
     if not touching.all():
         notes.append(f"{(~touching).sum()} rows left out: {depth} is 0, so nothing touches")
-    place = [named[name] for name in (*STAGE, "x_px", "y_px") if name in named]
+    place = [table[name] for name in (*STAGE, "x_px", "y_px") if name in table]
     trial = np.unique(np.column_stack([*place, depth_mm]), axis=0, return_inverse=True)[1].ravel()
     beyond = touching & (depth_mm >= radius_mm)
     if beyond.any():
@@ -194,19 +194,18 @@ def read_py3dcal(source: Path, mm_per_px: float | None, ball_radius_mm: float | 
     contact_mm = np.sqrt((2 * radius_mm - depth_mm[usable]) * depth_mm[usable])
     circle_px[usable] = contact_mm * known["px_per_mm"]
     background = _image(source / "blank_images" / "blank.png")
-    circles = np.column_stack([named["x_px"], named["y_px"], circle_px])
+    circles = np.column_stack([table["x_px"], table["y_px"], circle_px])
     paths = [_inside(source / "probe_images", name) for name in table["img_name"]]
     wrong, note = _contradicted(circles, trial, paths, background)
     circles[wrong] = np.nan
     notes += [note] if note else []
-    others = [n for n in table if n not in ("img_name", "x_px", "y_px", "file", "trial", *STAGE)]
+    others = [n for n in table if n not in ("img_name", "x_px", "y_px", "file", "trial")]
 
     def presses() -> Iterator[ForeignPress]:
         for k in np.nonzero(touching)[0].tolist():
             columns: dict[str, Any] = {"radius_mm": radius_mm}
             if np.isfinite(circles[k]).all():
                 columns |= dict(zip(COORDINATES, circles[k].tolist(), strict=True))
-            columns |= {name: named[name][k] for name in STAGE if name in named}
             columns |= {"trial": trial[k], **{name: table[name].iloc[k] for name in others}}
             yield ForeignPress(paths[k].stem, _image(paths[k]), columns)
 
@@ -308,7 +307,7 @@ def read_gelsight_mini_pretrain(
     notes += about
     row = np.nonzero(ball)[0]
     chosen = row[:: max(1, len(row) // IMAGES.background_pictures)]
-    few = [rgb for _, rgb in _parquet_images(files, chosen)]
+    few = [*_parquet_images(files, chosen)]
     median = np.median(np.stack(_of_one_size(few, [source] * len(few))), axis=0)
     warnings: Parts = ()
     gels = columns[[n for n in ("source", "gel_variant", "domain") if n in columns]]
@@ -317,9 +316,9 @@ def read_gelsight_mini_pretrain(
         warnings = (f"presses of several gels ({kinds}): calibrate each by itself",)
 
     def presses() -> Iterator[ForeignPress]:
-        records = columns.to_dict("records")
-        for number, (_, rgb) in enumerate(_parquet_images(files, row)):
-            yield ForeignPress(f"press_{number:05d}", rgb, records[number])
+        pictures = zip(_parquet_images(files, row), columns.to_dict("records"), strict=True)
+        for number, (rgb, record) in enumerate(pictures):
+            yield ForeignPress(f"press_{number:05d}", rgb, record)
 
     background = np.rint(median).astype(np.uint8)
     return PressSet(background, presses(), scale, len(table), tuple(notes), warnings)
@@ -343,31 +342,25 @@ def _parquet_columns(file: Path) -> pd.DataFrame:
         raise PressError(msg) from None
 
 
-def _parquet_images(
-    files: list[Path], rows: NDArray[Any]
-) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+def _parquet_images(files: list[Path], rows: NDArray[Any]) -> Iterator[NDArray[np.uint8]]:
     """Pictures of some rows, counted through all files, in their order; few are held at once."""
-    wanted, start = set(rows.tolist()), 0
-    for file in files:
-        for batch in _parquet_batches(file):
-            for k in range(len(batch)):
-                if start + k in wanted:
-                    where = f"{file}: the image of row {start + k}"
-                    data = _encoded(batch.column(0)[k].as_py(), file.parent, where)
-                    yield start + k, decode_rgb(data, where, PressError, kind_of=str(file))
-            start += len(batch)
-
-
-def _parquet_batches(file: Path) -> Iterator[Any]:
     import pyarrow as pa  # which _parquet_columns has asked for
     import pyarrow.parquet as pq
 
-    try:
-        with pq.ParquetFile(file) as parquet:
-            yield from parquet.iter_batches(batch_size=32, columns=["image"])
-    except (OSError, pa.ArrowException) as error:
-        msg = f"{file}: its pictures cannot be read: {error}; fetch it anew"
-        raise PressError(msg) from None
+    wanted, row = set(rows.tolist()), 0
+    for file in files:
+        try:
+            with pq.ParquetFile(file) as parquet:
+                for batch in parquet.iter_batches(batch_size=32, columns=["image"]):
+                    for image in batch.column(0):
+                        if row in wanted:
+                            where = f"{file}: the image of row {row}"
+                            data = _encoded(image.as_py(), file.parent, where)
+                            yield decode_rgb(data, where, PressError, kind_of=str(file))
+                        row += 1
+        except (OSError, pa.ArrowException) as error:
+            msg = f"{file}: its pictures cannot be read: {error}; fetch it anew"
+            raise PressError(msg) from None
 
 
 def _encoded(value: Any, folder: Path, where: str) -> bytes:
@@ -391,9 +384,11 @@ def _pretrain_columns(
 ) -> tuple[pd.DataFrame, list[str]]:
     """Columns of ``presses.csv`` for rows of balls, and notes on what they were made from."""
     radii, notes = _pretrain_radii(table, radius_mm, source)
-    columns = pd.DataFrame({"radius_mm": radii})
+    columns = pd.DataFrame({"radius_mm": radii}, table.index)
     read = table[[name for name in ("f_x", "f_y", "f_z") if name in table]].astype(object)
-    forces = _numbers(read.where(read.notna(), "").astype(str), source, *read)
+    cells = read.where(read.notna(), "").astype(str)
+    forces, problems = Table(source, cells, np.zeros(len(cells), np.int64)).with_numbers(cells)
+    PressError.raise_if(problems)
     if "f_z" in forces and np.isfinite(forces["f_z"]).any():
         sign = -1.0 if np.nanmedian(forces["f_z"]) < 0 else 1.0
         columns["force_normal_n"] = sign * forces["f_z"]
@@ -406,7 +401,7 @@ def _pretrain_columns(
     used = ("f_x", "f_y", "f_z", "file", "image_format", "height", "width")
     for name in table:
         if name not in used and name not in columns and table[name].notna().any():
-            columns[name] = table[name].to_numpy()
+            columns[name] = table[name]
     return columns, notes
 
 
@@ -475,24 +470,17 @@ def _inside(folder: Path, name: object) -> Path:
     return folder / path
 
 
-def _table(path: Path, needed: tuple[str, ...]) -> pd.DataFrame:
-    """Cells of a list as text, as ``read_table`` reads them."""
+def _list(path: Path, needed: Parts, numeric: Parts) -> pd.DataFrame:
+    """A list's cells as text, as ``read_table`` reads them, and some of its columns as numbers."""
     if not is_file(path):
         msg = f"{path}: cannot be read: no such file; is this the right folder?"
         raise PressError(msg)
-    table = read_table(path).cells
-    missing = [name for name in needed if name not in table]
+    frame, problems = read_table(path).with_numbers(numeric)
+    missing = [name for name in needed if name not in frame]
     if missing:
-        msg = f"{path}: no column {', '.join(missing)}; it has {', '.join(table)}"
-        raise PressError(msg)
-    return table
-
-
-def _numbers(table: pd.DataFrame, path: Path, *names: str) -> dict[str, FloatArray]:
-    """Those columns (N,) of numbers that a table has, NaN where it is empty."""
-    numbers, problems = numeric_columns(table, path, names)
+        problems = [f"{path}: no column {', '.join(missing)}; it has {', '.join(frame)}"]
     PressError.raise_if(problems)
-    return numbers
+    return frame
 
 
 def _json(path: Path, needed: tuple[str, ...]) -> dict[str, float]:

@@ -18,7 +18,7 @@ from tacgen.core.records import Sensor
 from tacgen.core.sensors import no_markers
 from tacgen.core.types import BoolArray, FloatArray, IntArray
 from tacgen.optics.dots import LEAST_SEEN, dots_at_rest, follow
-from tacgen.presses.lab_table import numeric_columns, read_table
+from tacgen.presses.lab_table import read_table
 from tacgen.presses.press_folder import PressFolder
 from tacgen.presses.press_log import PressLog
 from tacgen.presses.rules import LOG
@@ -65,30 +65,27 @@ def read_marker_tracks(path: Path, sensor: Sensor, log: PressLog) -> MarkerTrack
     a dot is given twice, or the dots are not those of the sensor's grid.
     """
     grid = _grid_of(sensor)
-    cells = read_table(path).cells
     names = ("press", "frame", "time_s", "marker", "x_px", "y_px", "x_mm", "y_mm")
-    numbers, problems = numeric_columns(cells, path, names)
+    table, problems = read_table(path).with_numbers(names)
     for group in (("press",), ("frame", "time_s"), ("marker",), ("x_px", "x_mm"), ("y_px", "y_mm")):
-        if not any(name in numbers for name in group):
+        if not any(name in table for name in group):
             problems.append(
                 f"{path}: column {' or '.join(group)} is missing: write one row for each dot of "
                 "each frame, with press, frame (or time_s), marker, x_px, y_px (or x_mm, y_mm)"
             )
     PressError.raise_if(problems)
-    by_frame = "frame" in numbers
-    clock = numbers["frame" if by_frame else "time_s"]
-    empty = ~np.isfinite(numbers["press"] + clock + numbers["marker"])
+    by_frame = "frame" in table
+    clock = table["frame" if by_frame else "time_s"]
+    empty = ~np.isfinite(table["press"] + clock + table["marker"])
     if empty.any():
-        msg = f"{path}: row {cells.index[np.argmax(empty)]}: press, frame or marker is empty"
+        msg = f"{path}: row {table.index[np.argmax(empty)]}: press, frame or marker is empty"
         raise PressError(msg)
-    in_px = "x_px" in numbers
-    xy = np.column_stack(
-        [numbers["x_px" if in_px else "x_mm"], numbers["y_px" if in_px else "y_mm"]]
-    )
+    in_px = "x_px" in table
+    xy = np.column_stack([table["x_px" if in_px else "x_mm"], table["y_px" if in_px else "y_mm"]])
     if in_px:
         xy = px_to_mm(xy, sensor.shape_px, sensor.mm_per_px)
-    frames, at = np.unique(np.column_stack([numbers["press"], clock]), axis=0, return_inverse=True)
-    ids, dot = np.unique(numbers["marker"], return_inverse=True)
+    frames, at = np.unique(np.column_stack([table["press"], clock]), axis=0, return_inverse=True)
+    ids, dot = np.unique(table["marker"], return_inverse=True)
     at, where = at.ravel(), _Names(path, frames, by_frame=by_frame)
     count = np.zeros((len(frames), len(ids)), np.int64)
     np.add.at(count, (at, dot), 1)

@@ -16,10 +16,9 @@ from tacgen.core.files import sha256_of
 from tacgen.core.records import PRESSES, similar_columns
 from tacgen.core.safe_io import IMAGE_SUFFIXES, check_archive, read_rgb, rgb_of_array
 from tacgen.core.schema import read_yaml
-from tacgen.core.types import FloatArray
+from tacgen.core.types import BoolArray, FloatArray
 from tacgen.presses.lab_table import (
     missing_columns,
-    numeric_columns,
     read_table,
     trial_number_problems,
 )
@@ -125,9 +124,8 @@ def read_press_folder(
         table = _read_list(table_path, required, ball_radius_mm, problems)
     elif not needs_list:
         table = pd.DataFrame({"file": pictures, "radius_mm": float(ball_radius_mm or 0.0)})
-        first = table.iloc[:1]
-        radius = first["radius_mm"].to_numpy()
-        problems += _radius_problems(radius, first, Path("--ball-radius-mm"), True)
+        first = table["radius_mm"].iloc[:1]
+        problems += _radius_problems(first, first.isna(), Path("--ball-radius-mm"), True)
         if not pictures:
             problems.append(f"{path}: no picture beside the background; add the presses")
     PressError.raise_if(problems)
@@ -299,31 +297,33 @@ def _read_list(
     path: Path, required: tuple[str, ...], ball_radius_mm: float | None, problems: list[str]
 ) -> pd.DataFrame:
     """``presses.csv`` with every column."""
-    frame = read_table(path).cells
-    if ball_radius_mm is not None:
-        frame = frame.assign(radius_mm=str(ball_radius_mm))
+    table = read_table(path)
+    is_given = ball_radius_mm is not None
+    frame, wrong = table.with_numbers(n for n in NUMBERS if not (is_given and n == "radius_mm"))
+    if is_given:
+        frame["radius_mm"] = ball_radius_mm
     problems += missing_columns(frame, path, required, PRESSES)
-    numbers, cells = numeric_columns(frame, path, NUMBERS)
-    problems += cells
-    if "trial" in numbers:
-        problems += trial_number_problems(numbers["trial"], path, frame.index)
-    if "radius_mm" in numbers:
-        problems += _radius_problems(numbers["radius_mm"], frame, path, "radius_mm" in required)
+    problems += wrong
+    if "trial" in frame:
+        problems += trial_number_problems(frame["trial"].to_numpy(), path, frame.index)
+    if "radius_mm" in frame:
+        empty = np.zeros(len(frame), bool) if is_given else table.cells["radius_mm"] == ""
+        problems += _radius_problems(frame["radius_mm"], empty, path, "radius_mm" in required)
     if "file" in frame:
         problems += _file_problems(frame["file"], path)
-    return frame.assign(**numbers).reset_index(drop=True)
+    return frame.reset_index(drop=True)
 
 
 def _radius_problems(
-    radii: FloatArray, frame: pd.DataFrame, path: Path, required: bool
+    radii: pd.Series, is_empty: BoolArray, path: Path, required: bool
 ) -> Iterator[str]:
     smallest, largest = IMAGES.balls_mm
-    for radius, (row, cell) in zip(radii, frame["radius_mm"].items(), strict=True):
+    for (row, radius), empty in zip(radii.items(), is_empty, strict=True):
         where = f"{path}: row {row}: radius_mm"
         if radius < smallest or radius > largest:
             fix = f"give the radius in mm, {smallest:g} to {largest:g}"
             yield f"{where} = {radius:g} is not a ball's; {fix}"
-        elif required and not cell:
+        elif required and empty:
             yield f"{where} is empty; give the ball's radius in mm"
 
 

@@ -8,6 +8,7 @@ what makes one press unusable drops that press, with the reason in ``PressLog.dr
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
@@ -30,16 +31,13 @@ from tacgen.core.types import (
     IntArray,
 )
 from tacgen.presses.geometry import ball_volume_mm3
+from tacgen.presses.headers import FORCE_UNITS_N, split_header, units_of
 from tacgen.presses.independent_rows import independent_rows
 from tacgen.presses.lab_table import (
-    FORCE_UNITS_N,
     LogFormat,
     LogTable,
     clock_gaps,
-    parsed,
     read_log_table,
-    split_header,
-    states_unit,
     trial_number_problems,
 )
 from tacgen.presses.rules import LOG
@@ -55,13 +53,12 @@ PLAIN = LogFormat()
 
 OTHER_UNITS = MappingProxyType(
     {
-        "volume_mm3": {"cm3": 1e3, "m3": 1e9, "um3": 1e-9},
-        "depth_mm": {"m": 1e3, "cm": 10.0, "um": 1e-3},
+        "volume_mm3": ("cm3", "m3", "um3"),
+        "depth_mm": ("m", "cm", "um"),
+        "time_s": ("ms", "us", "ns", "h", "d"),
     }
 )
-"""That a response may be in, and mm³ or mm in one of each."""
-
-
+"""That a quantity is often in where its header does not say so."""
 UNIT_WORDS = MappingProxyType({"n": "newtons", "mn": "millinewtons", "gf": "grams", "kgf": "kg"})
 
 
@@ -175,20 +172,20 @@ def press_log_of(table: LogTable, *, radius_mm: float | None = None) -> PressLog
     table = _with_presses(table)
     table.require("trial", "time_s", "force_normal_n", "volume_mm3 or depth_mm")
     table, spikes = _without_spikes(table)
-    path, numbers = table.path, table.numbers
-    problems = [*table.problems, *trial_number_problems(numbers["trial"], path, table.cells.index)]
+    path, frame = table.path, table.frame
+    number = frame["trial"].to_numpy()
+    problems = [*table.problems, *trial_number_problems(number, path, frame.index)]
     PressError.raise_if(problems or value_problems(table))
-    trial = numbers["trial"].astype(np.int64)
-    order, moved = row_order(trial, numbers["time_s"])
+    order, moved = row_order(number.astype(np.int64), frame["time_s"].to_numpy())
+    frame = frame.iloc[order].astype({"trial": np.int64})
     columns: dict[str, NDArray[Any]] = {
-        name: (numbers[name] if name in numbers else _covariate(name, cells))[order]
-        for name, cells in table.cells.items()
+        name: values.to_numpy() if values.dtype.kind in "fi" else np.asarray(values, dtype=str)
+        for name, values in frame.items()
     }
-    columns["trial"] = trial[order]
     notes = [*table.notes, *table.unclear, *spikes, *([f"{path}: {moved}"] if moved else [])]
-    if "time_s" in table.headers and "time_s" not in table.sure:
+    if "time_s" in table.found:
         notes += _check_clock_unit(table, columns)
-    of_depths, rows = "volume_mm3" not in columns, table.cells.index.to_numpy()[order]
+    of_depths, rows = "volume_mm3" not in columns, frame.index.to_numpy()
     if of_depths:
         columns["depth_mm"], found = _from_contact(columns)
         notes += [f"{path}: {note}" for note in found]
@@ -200,32 +197,31 @@ def press_log_of(table: LogTable, *, radius_mm: float | None = None) -> PressLog
     peak, compliance = typical_load(columns)
     notes += compliance_doubts(compliance if is_known else math.nan, peak, table)
     log = _checked(columns, path, rows, "depth_mm" if of_depths else "volume_mm3")
-    similar = similar_columns(table.cells, PRESS_LOG, str(path))
+    similar = similar_columns(frame, PRESS_LOG, str(path))
     independent, found = independent_rows(log.columns)
     notes += [*similar, *log.warnings, *(f"{path}: {note}" for note in found)]
     log = log.select(independent)
     if not is_known:
         kept = {name: values for name, values in log.columns.items() if name != "volume_mm3"}
         log = replace(log, columns=MappingProxyType(kept))
-    clock = log.session_clock and "time_s" in table.headers
+    clock = log.session_clock and "time_s" in table.found
     return replace(log, warnings=tuple(notes), session_clock=clock)
 
 
 def _without_spikes(table: LogTable) -> tuple[LogTable, list[str]]:
     """NaN for readings that are no readings, such as -999 or 9999 N; a note where there are."""
-    numbers, notes = dict(table.numbers), []
-    for name in ("force_normal_n", "volume_mm3", "depth_mm"):
-        values = numbers.get(name, np.zeros(0))
-        known = np.isfinite(values)
-        usual = float(np.quantile(np.abs(values[known]), LOG.usual_share)) if known.any() else 0.0
-        spikes = known & (np.abs(values) > LOG.spike_factor * usual)
+    frame, notes = table.frame.copy(), []
+    for name in [n for n in ("force_normal_n", "volume_mm3", "depth_mm") if n in frame]:
+        size = frame[name].abs()
+        usual = size.quantile(LOG.usual_share)
+        spikes = size > LOG.spike_factor * usual
         if usual > 0 and spikes.any():
-            numbers[name] = np.where(spikes, np.nan, values)
             notes.append(
-                f"{table.path}: {name} is {values[spikes][0]:.4g} in {spikes.sum()} samples, the "
-                f"others are within {usual:.3g}: taken as empty cells"
+                f"{table.path}: {name} is {frame[name][spikes].iloc[0]:.4g} in {spikes.sum()} "
+                f"samples, the others are within {usual:.3g}: taken as empty cells"
             )
-    return replace(table, numbers=numbers), notes
+            frame[name] = frame[name].mask(spikes)
+    return replace(table, frame=frame), notes
 
 
 def _with_presses(table: LogTable) -> LogTable:
@@ -233,26 +229,25 @@ def _with_presses(table: LogTable) -> LogTable:
 
     A press log needs both from the file.
     """
-    cells, numbers, notes = table.cells, dict(table.numbers), list(table.notes)
-    if "depth_mm" not in cells or "volume_mm3" in cells:
+    frame, notes, path = table.frame.copy(), list(table.notes), table.path
+    if "depth_mm" not in frame or "volume_mm3" in frame:
         return table
-    count, path = len(cells), table.path
-    if "curve" in cells:
-        numbers["trial"] = pd.factorize(cells["curve"])[0].astype(np.float64)
-    elif "trial" not in cells:
-        by, number = next(iter(table.parted.items()), ("", np.zeros(count)))
-        numbers["trial"] = np.asarray(number, dtype=np.float64)
-        parts = f"{by} part its rows into {int(number[-1]) + 1}" if by else "all rows are one press"
-        notes.append(f"{path}: no column trial: {parts}")
-    if "time_s" not in cells:
-        numbers["time_s"] = np.arange(count, dtype=np.float64)
+    if "time_s" not in frame:
+        frame["time_s"] = np.arange(len(frame), dtype=np.float64)
         notes.append(
             f"{path}: no column time_s: rows are taken in the file's order, one a second, so that "
             "times of effects that a diagnosis finds are in rows"
         )
-    added = [name for name in ("trial", "time_s") if name not in cells]
-    cells = pd.DataFrame({name: numbers[name] for name in added}, cells.index).join(cells)
-    return replace(table, cells=cells, numbers=numbers, notes=tuple(notes))
+    if "curve" in frame:
+        frame["trial"] = pd.factorize(frame["curve"])[0].astype(np.float64)
+    elif "trial" not in frame:
+        by, number = next(iter(table.parted.items()), ("", np.zeros(len(frame))))
+        frame["trial"] = np.asarray(number, dtype=np.float64)
+        parts = f"{by} part its rows into {int(number[-1]) + 1}" if by else "all rows are one press"
+        notes.append(f"{path}: no column trial: {parts}")
+    added = [name for name in ("trial", "time_s") if name not in table.frame]
+    frame = frame[[*added, *(name for name in frame if name not in added)]]
+    return replace(table, frame=frame, notes=tuple(notes))
 
 
 def _from_contact(columns: Columns) -> tuple[FloatArray, list[str]]:
@@ -380,9 +375,9 @@ def row_order(trial: IntArray, time_s: FloatArray) -> tuple[IntArray, str]:
 def value_problems(table: LogTable) -> list[str]:
     """Signs and units that the values of a log cannot have, a line each."""
     problems = []
-    path, force = table.path, table.numbers["force_normal_n"]
-    response = next((n for n in ("volume_mm3", "depth_mm") if n in table.numbers), "")
-    values = table.numbers.get(response, np.full(len(force), np.nan))
+    path, force = table.path, table.frame["force_normal_n"].to_numpy()
+    response = "volume_mm3" if "volume_mm3" in table.frame else "depth_mm"
+    values = table.frame[response].to_numpy()
     known = np.isfinite(force) & np.isfinite(values)
     if known.sum() > 2:
         low, high = np.percentile(values[known], (1.0, 99.0))
@@ -410,7 +405,7 @@ def value_problems(table: LogTable) -> list[str]:
                 "the sign: --flip force"
             )
     peak = float(np.nanmax(np.abs(values))) if known.any() else 0.0
-    if response == "depth_mm" and response not in table.sure and known.any():
+    if response == "depth_mm" and not table.found[response].is_given and known.any():
         least, most = LOG.plausible_depths_mm
         unit = "m" if 0 < peak < least else "um" if peak > most else ""
         if unit:
@@ -429,7 +424,7 @@ def _correlation(one: FloatArray, other: FloatArray) -> float:
 
 
 def _true_unit(table: LogTable, name: str, unit: str) -> str:
-    header = split_header(table.headers[name])[0]
+    header = split_header(table.found[name].header)[0]
     return f'say which it is: --column {name}="{header} [{unit}]" (or another unit)'
 
 
@@ -437,16 +432,15 @@ def _check_clock_unit(table: LogTable, columns: Columns) -> list[str]:
     """A warning where a clock is odd for seconds; raises where it can be no clock in seconds."""
     time_s, blocks = columns["time_s"], _trial_blocks(columns["trial"])
     spans = [float(np.ptp(time_s[b])) for b in blocks if np.isfinite(time_s[b]).all()]
-    if not spans:
+    if not spans or table.found["time_s"].is_given:
         return []
     span, start = float(np.median(spans)), float(np.nanmin(time_s))
     steps = np.diff(time_s)
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     said = f"{table.path}: a press lasts {span:.3g} s by time_s (median), from {start:.4g} s"
     if span > LOG.longest_press_s or start > LOG.latest_clock_s or 0 < span < LOG.shortest_press_s:
-        units = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9, "h": 3600.0, "d": 86400.0}
-        usual = LOG.usual_press_s / max(span, 1e-9)
-        unit = min(units, key=lambda u: abs(math.log(units[u] / usual)))
+        units, usual = units_of("time_s"), LOG.usual_press_s / max(span, 1e-9)
+        unit = min(OTHER_UNITS["time_s"], key=lambda u: abs(math.log(units[u] / usual)))
         msg = f"{said}: this looks like {unit}; {_true_unit(table, 'time_s', unit)}"
         raise PressError(msg)
     if span > LOG.odd_press_s and step >= LOG.odd_step_s:
@@ -492,20 +486,12 @@ def _checked(columns: Columns, path: Path, rows: IntArray, response: str) -> Pre
     )
 
 
-def _covariate(name: str, cells: pd.Series) -> NDArray[Any]:
-    """Float64 where every filled cell is a number, text otherwise."""
-    values, filled = parsed(cells), (cells != "").to_numpy()
-    if filled.any() and np.isfinite(values[filled]).all() and name != "indenter":
-        return values
-    return np.asarray(cells, dtype=str)
-
-
 def _frozen(columns: Columns, mask: BoolArray) -> Columns:
     frozen = {name: frozen_array(values[mask], values.dtype) for name, values in columns.items()}
     return MappingProxyType(frozen)
 
 
-@dataclass(slots=True)
+@dataclass
 class _Findings:
     """What the checks have found so far; a block holds the indices of one trial's samples."""
 
@@ -519,19 +505,16 @@ class _Findings:
     warnings: list[str] = field(default_factory=list)
     copied: int = 0  # samples of presses that are copies: nothing is lost with them
     first: dict[bytes | int, IntArray] = field(default_factory=dict)  # press by samples, by number
-    _typical: tuple[float, float] | None = None
 
     @property
     def in_use(self) -> list[IntArray]:
         return [block for block in self.blocks if self.keep[block].any()]
 
-    @property
+    @cached_property
     def typical(self) -> tuple[float, float]:
         """As ``typical_load``, of the presses in use when first asked for; unknown of two."""
-        if self._typical is None:
-            in_use = self.in_use
-            self._typical = _typical_of(self.columns, in_use if len(in_use) > 2 else [])
-        return self._typical
+        in_use = self.in_use
+        return typical_load(self.columns, in_use) if len(in_use) > 2 else (math.nan, math.nan)
 
     def kept(self, block: IntArray) -> IntArray:
         return block[self.keep[block]]
@@ -568,13 +551,9 @@ def _trial_blocks(trial: IntArray) -> list[IntArray]:
     return np.split(np.arange(len(trial)), np.flatnonzero(np.diff(trial)) + 1)
 
 
-def typical_load(columns: Columns) -> tuple[float, float]:
+def typical_load(columns: Columns, blocks: list[IntArray] | None = None) -> tuple[float, float]:
     """Medians over presses: peak force, N, and volume per force, mm³/N; NaN where unknown."""
-    return _typical_of(columns, _trial_blocks(columns["trial"]))
-
-
-def _typical_of(columns: Columns, blocks: list[IntArray]) -> tuple[float, float]:
-    both = _peaks_and_compliances(columns, blocks)
+    both = _peaks_and_compliances(columns, blocks or _trial_blocks(columns["trial"]))
     peak, compliance = (
         float(np.nanmedian(one)) if np.isfinite(one).any() else math.nan for one in both
     )
@@ -593,7 +572,7 @@ def compliance_doubts(compliance: float, peak: float, table: LogTable) -> list[s
     is_gel = is_unknown or least <= compliance <= most
     is_too_large = peak > LOG.max_plausible_force_n
     is_usual = is_unknown or low <= compliance <= high
-    if "force_normal_n" in table.sure or (is_gel and is_usual and not is_too_large):
+    if table.found["force_normal_n"].is_given or (is_gel and is_usual and not is_too_large):
         return []
     others = _other_units(compliance, peak, table)
     said = f"{table.path}: force_normal_n reaches {peak:.4g} (median over presses)"
@@ -623,14 +602,14 @@ def _other_units(compliance: float, peak: float, table: LogTable) -> list[tuple[
     for unit, newtons in FORCE_UNITS_N.items():
         if unit != "n" and peak * newtons <= LOG.max_plausible_force_n:
             found.append((compliance / newtons, f"--force-unit {unit} ({UNIT_WORDS[unit]}"))
-    gauge = split_header(table.headers["force_normal_n"])[0]
+    gauge = split_header(table.found["force_normal_n"].header)[0]
     found.append((compliance / 1e3, f'--column force_normal_n="{gauge} [kN]" (kilonewtons'))
-    name = "volume_mm3" if "volume_mm3" in table.numbers else "depth_mm"
+    name = "volume_mm3" if "volume_mm3" in table.frame else "depth_mm"
     power = 1 if name == "volume_mm3" else 2  # of a ball's volume that grows with its depth
-    header = table.headers.get(name, name)
-    for unit, factor in OTHER_UNITS[name].items() if not states_unit(header, name) else ():
-        option = f'--column {name}="{header} [{unit}]" ({unit}'
-        found.append((compliance * factor**power, option))
+    column = table.found[name]
+    for unit in OTHER_UNITS[name] if not column.unit else ():
+        option = f'--column {name}="{column.header} [{unit}]" ({unit}'
+        found.append((compliance * units_of(name)[unit] ** power, option))
     if math.isnan(compliance):
         return [(0.0, k_n, f"{text})") for k_n, text in found if text.startswith("--force-unit")]
     low, high = GELS_K_N_MM3_PER_N

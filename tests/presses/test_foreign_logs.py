@@ -124,6 +124,17 @@ def titled_blocks(frame: pd.DataFrame) -> str:
     return blocks(frame, f'"Specimen 1"\n{head}', f'\n"Specimen 2"\n{head}')
 
 
+def labview(frame: pd.DataFrame) -> str:
+    """A .lvm file: two headers of keys and values, as many cells as the rows have, or more."""
+    rows = frame[["t", "F", "d"]].to_csv(index=False, header=False, sep="\t", decimal=",")
+    return (
+        "LabVIEW Measurement\t\nWriter_Version\t2\nDecimal_Separator\t,\nX_Columns\tOne\n"
+        "***End_of_Header***\t\n\t\nChannels\t2\t\t\nSamples\t480\t480\t\n"
+        "Date\t2024/03/05\t2024/03/05\t\nX_Dimension\tTime\tTime\t\n***End_of_Header***\t\t\t\t\n"
+        f"Time\tForce\tDepth\tComment\n{rows}"
+    )
+
+
 def with_summary(frame: pd.DataFrame) -> str:
     lines = [f"{word},,{frame['F'].mean():.3f},{frame['d'].mean():.3f}" for word in ("Mean", "Max")]
     return plain(frame) + "\n".join([*lines, "", "Operator: Ann, lab 3"])
@@ -205,6 +216,27 @@ READ: dict[str, tuple[Callable[[pd.DataFrame], str | bytes], list[str]]] = {
         [],
     ),
     "units in a row": (two_unit_rows, []),
+    "LabVIEW": (labview, []),
+    "keys and values above": (
+        lambda f: (
+            "Operator;Ann;Lab 3\nGel;12;soft\nRate;5;mm/min\n"
+            + f[["t", "F", "d"]]
+            .set_axis(["Time", "Force", "Depth"], axis=1)
+            .to_csv(index=False, sep=";")
+        ),
+        [],
+    ),
+    "headers on two lines of a cell": (
+        lambda f: named(f, "Trial\nNo.", "Time\n[s]", "Force\n[N]", "Depth\n[mm]").to_csv(
+            index=False
+        ),
+        [],
+    ),
+    "quotes after spaces": (
+        lambda f: plain(f, decimal=",", quoting=csv.QUOTE_ALL).replace('","', '", "'),
+        [],
+    ),
+    "a quote in a comment": (lambda f: plain(f).replace("\n2,", '\n# gel,"soft\n2,', 1), []),
     "Excel's sep line": (lambda f: "sep=;\n" + german(f, "Trial", "Time", "Force", "Depth"), []),
     "quoted decimal commas": (
         lambda f: plain(f, decimal=",", quoting=csv.QUOTE_ALL),
@@ -271,6 +303,7 @@ READ: dict[str, tuple[Callable[[pd.DataFrame], str | bytes], list[str]]] = {
     ),
     "dashes for no value": (lambda f: holes(f, "--"), []),
     "Excel's errors": (lambda f: holes(f, "#N/A"), []),
+    "no number in Windows": (lambda f: holes(f, "-1.#IND"), []),
     "a summary below": (with_summary, []),
     "readings of -999 and 9999 N": (spikes, []),
     "a stage in the air": (lambda f: plain(f.assign(d=f["d"].where(f["d"] > 0, -2.0))), []),

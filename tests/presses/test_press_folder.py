@@ -50,6 +50,17 @@ def test_a_folder_is_read_as_it_was_written(tmp_path, presses):
     assert read.mm_per_px == presses.mm_per_px
 
 
+def test_a_list_may_have_decimal_commas(tmp_path, presses):
+    """As a spreadsheet writes it in half of Europe."""
+    folder = write_folder(tmp_path / "p", presses, columns=ALL)
+    plain = read_presses(folder)
+    text = (folder / "presses.csv").read_text().replace(",", ";")
+    (folder / "presses.csv").write_text(re.sub(r"(?<=\d)\.(?=\d)", ",", text))
+    read = read_presses(folder)
+    np.testing.assert_array_equal(read.center_px, plain.center_px)
+    np.testing.assert_array_equal(read.ball_radius_mm, plain.ball_radius_mm)
+
+
 @pytest.mark.parametrize("background", ["background.png", "background.jpg", "Background.JPEG"])
 def test_a_folder_of_pictures_needs_no_list(tmp_path, presses, background):
     folder = tmp_path / "p"

@@ -119,7 +119,7 @@ def test_cells_that_are_not_numbers_are_named_by_row(tmp_path):
         ("trial,time_s,force_normal_n,volume_mm3\n1,0,١,5\n", "force_normal_n = '١' is not a"),
         (
             'trial,time_s,force_normal_n,volume_mm3\n1,0,"1,5\n2,0,1,5\n',
-            "a quote that is not closed in the row that begins with '1, 0, 1,5'; close",
+            "line 2 opens a quote that is not closed; close",
         ),
     ],
 )

@@ -86,8 +86,8 @@ class Patch:
     mm_per_px : float
     window : tuple of int
         Top, bottom, left, right of a patch that the renderer draws.
-    height_mm : (h, w) float32, optional
-        The deformed gel over that window.
+    height_mm : (H, W) float32, optional
+        The whole deformed gel.
     time : float
         When in the session the picture was taken, from −½ to ½.
     """

@@ -4,9 +4,29 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from tacgen.core.compiled import njit
 from tacgen.core.types import FloatArray
 from tacgen.optics.effects import effect as base
+
+
+@njit(cache=True, nogil=True)
+def _dimmed(
+    image: NDArray[Any],
+    background: NDArray[Any],
+    square: NDArray[Any],
+    twice_change: Any,
+    twice: Any,
+) -> NDArray[Any]:
+    """Pixels (n, 3) whose change, and which themselves, are dimmed by ``square`` (n,)."""
+    dimmed = np.empty_like(image)
+    for k in range(image.shape[0]):
+        of_change, of_all = twice_change * square[k], twice * square[k]
+        for c in range(3):
+            change = (image[k, c] - background[k, c]) * of_change
+            dimmed[k, c] = (image[k, c] - change) * (1 - of_all)
+    return dimmed
 
 
 class Vignetting(base.OpticalEffect):
@@ -34,13 +54,12 @@ class Vignetting(base.OpticalEffect):
         **_: Any,
     ) -> FloatArray:
         """Dim the change, then the whole."""
-        square = (patch.u**2 + patch.v**2)[..., None]
-        twice, twice_change = (
-            np.asarray(2 * s, array.dtype)[..., None] for s in (strength, change_strength)
-        )
-        gain = (1 - twice * square).astype(array.dtype)
-        dimmed = (array - patch.background) * (twice_change * square)
-        return (array - dimmed.astype(array.dtype)) * gain
+        square = np.asarray(patch.u**2 + patch.v**2, array.dtype)
+        square, image = np.broadcast_to(square, array.shape[:-1]).ravel(), array.reshape(-1, 3)
+        background = np.broadcast_to(patch.background, array.shape).reshape(-1, 3)
+        twice_change, twice = array.dtype.type(2 * change_strength), array.dtype.type(2 * strength)
+        dimmed = _dimmed(image, background, square, twice_change, twice)
+        return np.asarray(dimmed).reshape(array.shape)
 
     def candidates(self, scene: base.PressScene) -> list[base.OpticalCandidate]:
         """A background through the same lens, or not."""

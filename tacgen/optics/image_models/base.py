@@ -1,11 +1,13 @@
 """What an image model is: from the slopes of a gel to grey levels, and back."""
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.core.compiled import njit
 from tacgen.core.errors import TableError
 from tacgen.core.types import FloatArray, Window
 
@@ -106,16 +108,33 @@ def between_nodes(
     nodes: FloatArray, max_slope_rad: float, gx: FloatArray, gy: FloatArray
 ) -> FloatArray:
     """Grey levels (…, rows, columns, 3) between the nodes (n_slope, n_direction, …) of slopes."""
-    n_slope, n_direction = nodes.shape[:2]
-    i = np.arctan(np.hypot(gx, gy)) / max_slope_rad * (n_slope - 1)
-    j = (np.arctan2(gy, gx) + np.pi) / (2.0 * np.pi) * n_direction
-    i = np.minimum(i, n_slope - 1.0)
-    low_i = np.minimum(i.astype(int), n_slope - 2)
-    low_j = j.astype(int) % n_direction
-    high_j = (low_j + 1) % n_direction
-    fi, fj = (i - low_i)[..., None, None, None], (j - np.floor(j))[..., None, None, None]
-    colors = (1 - fi) * (1 - fj) * nodes[low_i, low_j]
-    colors += (1 - fi) * fj * nodes[low_i, high_j]
-    colors += fi * (1 - fj) * nodes[low_i + 1, low_j]
-    colors += fi * fj * nodes[low_i + 1, high_j]
-    return np.asarray(colors)
+    flat = nodes.reshape(*nodes.shape[:2], -1)
+    colors = np.empty((np.size(gx), flat.shape[2]), nodes.dtype)
+    x, y = (np.ravel(np.asarray(part, np.float64)) for part in (gx, gy))
+    _between(flat, max_slope_rad, x, y, colors)
+    return colors.reshape(*np.shape(gx), *nodes.shape[2:])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _between(
+    nodes: NDArray[Any],
+    max_slope_rad: float,
+    gx: NDArray[Any],
+    gy: NDArray[Any],
+    colors: NDArray[Any],
+) -> None:
+    """Values between nodes (n_slope, n_direction, N) at slopes (n,), into ``colors`` (n, N)."""
+    n_slope, n_direction, size = nodes.shape
+    for k in range(len(gx)):
+        i = math.atan(math.hypot(gx[k], gy[k])) / max_slope_rad * (n_slope - 1)
+        j = (math.atan2(gy[k], gx[k]) + math.pi) / (2.0 * math.pi) * n_direction
+        i = min(i, n_slope - 1.0)
+        low_i, low_j = min(int(i), n_slope - 2), int(j)
+        fi, fj = i - low_i, j - low_j
+        low_j = low_j % n_direction
+        high_j = (low_j + 1) % n_direction
+        a, b = nodes[low_i, low_j], nodes[low_i, high_j]
+        c, d = nodes[low_i + 1, low_j], nodes[low_i + 1, high_j]
+        for n in range(size):
+            near = (1.0 - fi) * ((1.0 - fj) * a[n] + fj * b[n])
+            colors[k, n] = near + fi * ((1.0 - fj) * c[n] + fj * d[n])
