@@ -21,7 +21,7 @@ endef
 PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest \
 	-n $(shell getconf _NPROCESSORS_ONLN) --dist loadfile --no-loadscope-reorder
 
-.PHONY: setup demo network test test-all test-fast test-other coverage slowest check format docs docs-serve bench trust \
+.PHONY: setup demo network test test-all test-fast test-other messages coverage slowest check format docs docs-serve bench trust \
 	lock clean
 
 setup: $(READY)
@@ -63,6 +63,10 @@ test-fast: setup
 # Physics and imports alone, for a second Python.
 test-other: setup
 	$(PYTEST) -m "not slow" tests/physics tests/test_architecture.py
+
+# The approved messages anew, of all tests that hold one; read the diff.
+messages: setup
+	TACGEN_APPROVE_MESSAGES=1 $(PYTEST) $$(grep -rlE '\b(refused|warned)\(' tests validation/tests --include=test_*.py)
 
 coverage: setup
 	$(PYTEST) -m "not slow" --cov=tacgen --cov-report=term:skip-covered

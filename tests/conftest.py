@@ -1,5 +1,7 @@
 """Fixtures that every part of the suite shares."""
 
+import os
+import re
 from pathlib import Path
 
 import hypothesis
@@ -7,6 +9,7 @@ import pytest
 
 from tacgen.core.errors import missing_extra
 from tacgen.core.processes import start_early
+from tests import messages
 
 ROOT = Path(__file__).resolve().parents[1]
 MEASURED_DATA = ROOT.parent / "shared" / "data"
@@ -43,8 +46,13 @@ def is_in(place: str, places: tuple[str, ...]) -> bool:
 
 
 @pytest.hookimpl(tryfirst=True)  # before ``-m`` chooses
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """The longest files first, and what ``make test`` leaves out marked."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """The longest files first, what ``make test`` leaves out marked, and no message left over."""
+    if not any("::" in argument for argument in config.args) and (left := messages.stale(items)):
+        if os.environ.get(messages.APPROVE):
+            messages.approve({}, left)
+        else:
+            raise pytest.UsageError(f"tests/messages.txt has rows of no test: {left}")
     places = {item: item.path.relative_to(ROOT).as_posix().removeprefix("tests/") for item in items}
     items.sort(key=lambda item: LONGEST.index(places[item]) if places[item] in LONGEST else 99)
     for item in items:
@@ -53,6 +61,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         is_twice = is_mujoco and item.get_closest_marker("slow") and is_in(places[item], ENGINES)
         if is_twice or is_in(places[item], EXHAUSTIVE):
             item.add_marker("exhaustive")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def places_in_messages(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """A test's own folder is TMP in the approved messages."""
+    base = re.escape(str(tmp_path_factory.getbasetemp()))
+    messages.PLACES = {rf"{base}/[^/\s'\":;,)`]+": "TMP", **messages.PLACES}
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -37,6 +37,7 @@ from tacgen.presses.press_folder import read_presses
 from tacgen.presses.press_log import read_press_log
 from tests.dataset.conftest import collect_toy, make_spec
 from tests.fuzz.readers import LEARNED, READERS
+from tests.messages import refused
 from tests.small_world import slope_table, write_world
 
 SECONDS = 5.0
@@ -44,41 +45,42 @@ SECONDS = 5.0
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    "text",
     [
-        ("!!bool foo", "cannot be read as bool"),
-        ("!!timestamp 2024-13-45", "cannot be read as timestamp"),
-        ('!!int ""', "cannot be read as int"),
-        ("!!float ''", "cannot be read as float"),
-        ("!!null x y", None),
-        ("!!set {a, b}", "has the tag"),
-        ("!!str [1]", "has the tag"),
-        ("!!python/name:os.system x", "has the tag"),
-        ("9" * 5000, "5000 letters, which is no number"),
-        ("1" + ":59" * 3000, "letters, which is no number"),
-        ("1:30", "counts in sixties"),
-        ('"\\uD800"', "U+D800"),
-        ('"\\0"', "U+0000"),
-        ('"\\UFFFFFFFF"', "character that there is not"),
-        ("{? [a, b] : 1}", "a list or a mapping as a key"),
-        ('{"\\uD800": 1}', "U+D800"),
-        ("[" * 3000, "nested too deeply"),
-        ("*a", "not valid YAML"),
-        ("&a [*a]", "too many parts"),
+        "!!bool foo",
+        "!!timestamp 2024-13-45",
+        '!!int ""',
+        "!!float ''",
+        "!!set {a, b}",
+        "!!str [1]",
+        "!!python/name:os.system x",
+        "9" * 5000,
+        "1" + ":59" * 3000,
+        "1:30",
+        '"\\uD800"',
+        '"\\0"',
+        '"\\UFFFFFFFF"',
+        "{? [a, b] : 1}",
+        '{"\\uD800": 1}',
+        "[" * 3000,
+        "*a",
+        "&a [*a]",
     ],
+    ids=lambda text: text[:20],
 )
-def test_yaml(tmp_path, text, words):
+def test_yaml(tmp_path, text):
     path = tmp_path / "a.yaml"
     path.write_text(f"name: {text}\n")
     start = time.process_time()
-    if words is None:
+    with refused(RecipeError) as caught:
         read_yaml(path)
-        return
-    with pytest.raises(RecipeError, match="a.yaml") as caught:
-        read_yaml(path)
-    assert words in str(caught.value)
     assert time.process_time() - start < SECONDS
     str(caught.value).encode()
+
+
+def test_yaml_that_is_odd_and_sound(tmp_path):
+    (tmp_path / "a.yaml").write_text("name: !!null x y\n")
+    read_yaml(tmp_path / "a.yaml")
 
 
 @pytest.mark.parametrize("force_n", [1e308, 1001.0])
@@ -86,7 +88,7 @@ def test_forces_beyond_any_gripper(tmp_path, monkeypatch, force_n):
     monkeypatch.chdir(tmp_path)
     grid = f"{{force_n: [{force_n}], y_mm: [0], z_mm: [60]}}"
     path = write_world(tmp_path, grid=grid, robot=f"{{max_force_n: {force_n}}}")
-    with pytest.raises(RecipeError, match="max_force_n = .* must be at most 1000"):
+    with refused(RecipeError):
         load_recipe(path)
 
 
@@ -107,7 +109,7 @@ CHANGES = {
     "sensor": [None, 3, ["a"]],
     "effects": [None, [], "blur", {"blur": None}, {"blur": {"sigma": "x"}}, {"blur": 3}],
     "provenance": [None, "x", []],
-    "model": [None, [], {"kind": ["quadratic"]}, {"kind": "network"}, {"kind": "response"}],
+    "model": [None, [], {"kind": ["quadratic"]}, {"kind": "response"}],
     "contact": ["x", {"depth_mm": "a"}, {"depth_mm": 0.0}],
     "gel_of_tomorrow": [1],
 }
@@ -129,7 +131,7 @@ def table_file(folder: Path, header: bytes | str | None = None, **arrays) -> Pat
 
 @pytest.mark.parametrize("kind", HEADERS)
 def test_table_headers(tmp_path, kind):
-    with pytest.raises(TableError, match="table.npz: header"):
+    with refused(TableError):
         load_table(table_file(tmp_path, HEADERS[kind]))
 
 
@@ -142,14 +144,13 @@ def header_of(folder: Path) -> dict:
 def test_values_in_table_headers(tmp_path, key):
     sound = header_of(tmp_path)
     for value in CHANGES[key]:
-        with pytest.raises(TableError, match="table.npz") as caught:
+        with refused(TableError):
             load_table(table_file(tmp_path, json.dumps({**sound, key: value})))
-        assert key in str(caught.value) or "image model" in str(caught.value), value
 
 
 def test_a_table_of_a_newer_tacgen_says_so(tmp_path):
     header = {**header_of(tmp_path), "lens": 1}
-    with pytest.raises(TableError, match="made by a newer tacgen .its header has lens.; up"):
+    with refused(TableError):
         load_table(table_file(tmp_path, json.dumps(header)))
 
 
@@ -171,7 +172,7 @@ def test_arrays_of_tables(tmp_path, arrays):
     header = header_of(tmp_path)
     if "response" in arrays:
         header["model"] = {"kind": "response"}
-    with pytest.raises(TableError, match="table.npz"):
+    with refused(TableError):
         load_table(table_file(tmp_path, json.dumps(header), **arrays))
 
 
@@ -187,37 +188,37 @@ def test_a_table_that_unpacks_to_gigabytes_is_refused_before_it_is_unpacked(tmp_
         for _ in range(70):
             file.write(bytes(4 << 20))
     start = time.process_time()
-    with pytest.raises(TableError, match="take more than 256 MiB"):
+    with refused(TableError):
         load_table(path)
     assert time.process_time() - start < 1.0
 
 
 @pytest.mark.parametrize(
-    ("changes", "words"),
+    "changes",
     [
-        ({"n_shards": 10**10}, "10000000000|1e[+]10"),
-        ({"n_grasps": 10**15}, "shards, more than"),
-        ({"parts": ["x"]}, "missing or broken"),
-        ({"parts": float("inf")}, "missing or broken"),
-        ({"grids": 3}, "missing or broken"),
-        ({"schema": 2}, "made by a newer tacgen"),
+        {"n_shards": 10**10},
+        {"n_grasps": 10**15},
+        {"parts": ["x"]},
+        {"parts": float("inf")},
+        {"grids": 3},
+        {"schema": 2},
     ],
 )
-def test_plans_of_datasets(tmp_path, changes, words):
+def test_plans_of_datasets(tmp_path, changes):
     folder = collect_toy(tmp_path / "data", make_spec(n_grasps=4))
     plan = json.loads(folder.plan_path.read_text()) | changes
     folder.plan_path.write_text(json.dumps(plan))
-    with pytest.raises(DatasetError, match=words):
+    with refused(DatasetError):
         DatasetFolder(folder.root).plan()
 
 
 def test_a_plan_of_a_newer_tacgen_says_so_whatever_it_holds(tmp_path):
     folder = collect_toy(tmp_path / "data", make_spec(n_grasps=4))
     folder.plan_path.write_text('{"schema": 3, "grasps": "elsewhere"}')
-    with pytest.raises(DatasetError, match="made by a newer tacgen .schema 3.*; upgrade tacgen"):
+    with refused(DatasetError):
         DatasetFolder(folder.root).plan()
     folder.plan_path.write_text("[1]")
-    with pytest.raises(DatasetError, match="missing or broken"):
+    with refused(DatasetError):
         DatasetFolder(folder.root).plan()
     with pytest.raises(TacgenError):
         Dataset(folder.root)
@@ -227,7 +228,7 @@ def test_an_obj_with_one_endless_line(tmp_path):
     path = tmp_path / "line.obj"
     path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf" + " 1 2 3" * 2_000_000)
     start = time.process_time()
-    with pytest.raises(ObjectError, match="has a line of 12000001 bytes"):
+    with refused(ObjectError):
         import_surface(path)
     assert time.process_time() - start < SECONDS
 
@@ -246,23 +247,20 @@ MESHES = {
 
 
 @pytest.mark.parametrize(
-    ("tree", "words"),
+    "tree",
     [
-        ({**MESHES, "nodes": [{"mesh": 0}] * 200_000}, "places 200000 meshes"),
-        (
-            {**MESHES, "accessors": [{"count": 10**9}], "nodes": [{"mesh": 0}]},
-            "333333333 triangles, more than",
-        ),
-        ({**MESHES, "nodes": [{"mesh": 7}]}, "table of contents is broken"),
-        ({**MESHES, "nodes": [{"mesh": "a"}]}, "table of contents is broken"),
-        ({"meshes": [{}], "nodes": []}, "table of contents is broken"),
+        {**MESHES, "nodes": [{"mesh": 0}] * 200_000},
+        {**MESHES, "accessors": [{"count": 10**9}], "nodes": [{"mesh": 0}]},
+        {**MESHES, "nodes": [{"mesh": 7}]},
+        {**MESHES, "nodes": [{"mesh": "a"}]},
+        {"meshes": [{}], "nodes": []},
     ],
 )
-def test_glb_scenes_that_unfold(tmp_path, tree, words):
+def test_glb_scenes_that_unfold(tmp_path, tree):
     path = tmp_path / "scene.glb"
     path.write_bytes(glb(tree))
     start = time.process_time()
-    with pytest.raises(ObjectError, match=words):
+    with refused(ObjectError):
         import_surface(path)
     assert time.process_time() - start < SECONDS
 
@@ -319,19 +317,15 @@ def test_files_without_end(tmp_path, monkeypatch):
     monkeypatch.setattr(lab_table, "LOG", small)
     header, row = "trial,time_s,force_normal_n,volume_mm3\n", "1,0.5,1,5\n"
     path = tmp_path / "log.csv"
-    for text, words in (
-        (header + 100 * row, "bytes, more than 1000; keep every"),
-        (header + 20 * row, "cells, more than 60; keep every"),
-        (header + 40 * "1\n", "rows, more than 30"),
-    ):
-        path.write_text(text)
-        with pytest.raises(PressError, match=words):
+    for rows in (100 * row, 20 * row, 40 * "1\n"):
+        path.write_text(header + rows)
+        with refused(PressError):
             read_press_log(path)
     path = tmp_path / "large.png"
     head = struct.pack(">IIBBBBB", 8192, 8192, 16, 6, 0, 0, 0)
     chunk = struct.pack(">I", 13) + b"IHDR" + head + struct.pack(">I", zlib.crc32(b"IHDR" + head))
     path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunk)
-    with pytest.raises(TacgenError, match="32 million in all"):
+    with refused(TacgenError):
         read_rgb(path)
 
 
@@ -339,7 +333,7 @@ def test_a_list_of_grasps_with_endless_columns(tmp_path):
     path = READERS["real grasps"].make(tmp_path)
     path.write_text(",".join(f"c{k}" for k in range(200_000)) + "\n")
     start = time.process_time()
-    with pytest.raises(DatasetError, match="more than 1000 columns"):
+    with refused(DatasetError):
         READERS["real grasps"].read(path)
     assert time.process_time() - start < 1.0
 
@@ -354,7 +348,7 @@ def test_a_datapack_that_unfolds_is_refused_before_it_does(tmp_path):
         np.lib.format.write_array_header_1_0(file, shape)
         for _ in range(50):
             file.write(bytes(4 << 20))
-    with pytest.raises(PressError, match="unfolds to more than 50 times its size"):
+    with refused(PressError):
         read_presses(path)
 
 
@@ -362,7 +356,7 @@ def test_a_parquet_log_without_end(tmp_path, monkeypatch):
     pytest.importorskip("pyarrow")
     path = READERS["press log parquet"].make(tmp_path)
     monkeypatch.setattr(lab_table, "LOG", replace(lab_table.LOG, max_cells=60))
-    with pytest.raises(PressError, match="100 cells, more than 60"):
+    with refused(PressError):
         read_press_log(path)
 
 
@@ -408,7 +402,7 @@ def test_pictures_in_hdf5_that_are_none(tmp_path, replace, name):
         assert count == 1, "the other finger's"
         assert any("no gelsightA_after as a picture in this file" in note for note in notes)
     else:
-        with pytest.raises(DatasetError, match="no grasps|not imported"):
+        with refused(DatasetError):
             READERS["feeling-of-success"].read(path)
 
 

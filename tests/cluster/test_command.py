@@ -12,6 +12,7 @@ from tacgen.cluster import states, submission
 from tacgen.cluster.records import JobsFolder, Note, Submission, Task, write_record
 from tacgen.collection.recipe import Cluster
 from tacgen.core.errors import ClusterError
+from tests.messages import refused
 
 from .friction_case import BOX, MU, write_friction_case
 
@@ -89,7 +90,7 @@ def test_a_second_job_for_the_same_folder_is_refused_while_the_first_runs(tmp_pa
     write_record(folder / "submission.json", Submission("slurm", "here", (Task(0, "77", ()),)))
     live = {"77": ("queued", "Priority")}
     monkeypatch.setattr("tacgen.cluster.states.live_jobs", lambda _: live)
-    with pytest.raises(ClusterError, match=r"job 77 still runs or waits.*tacgen status"):
+    with refused(ClusterError):
         submission.submit_command(command, tmp_path, print, "local", Cluster())
     text = states.jobs_text(tmp_path, states.job_states(tmp_path))
     assert "1 job\n" in text

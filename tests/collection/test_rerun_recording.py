@@ -13,6 +13,7 @@ from tacgen.collection.rerun_recording import write_recording
 from tacgen.collection.run import collect
 from tacgen.core.errors import DatasetError
 from tacgen.core.records import PADS
+from tests.messages import refused
 from tests.small_world import write_world
 
 INDEX = 1
@@ -86,6 +87,6 @@ def test_the_command(data, monkeypatch):
 
 def test_a_grasp_that_is_not_in_the_dataset(data, tmp_path):
     pytest.importorskip("rerun")
-    with pytest.raises(DatasetError, match="no grasp 99"):
+    with refused(DatasetError):
         write_recording(data, 99, tmp_path / "grasp.rrd")
     assert list(tmp_path.iterdir()) == []

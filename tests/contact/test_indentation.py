@@ -11,6 +11,7 @@ from scipy.optimize import bisect
 from tacgen.contact import contact_depth, solve_indentation
 from tacgen.contact.indentation import solve_grains
 from tacgen.core.errors import ContactError
+from tests.messages import refused
 
 MM_PER_PX = 0.0295
 AREA = MM_PER_PX**2
@@ -135,15 +136,15 @@ def test_no_force_is_first_touch():
 
 
 @pytest.mark.parametrize(
-    ("gap", "volume_mm3", "words"),
+    ("gap", "volume_mm3"),
     [
-        (np.full((4, 4), np.inf), 1.0, "no pixel can touch"),
-        (np.full((4, 4), np.nan), 1.0, "NaN"),
-        (np.zeros((4, 4)), -1.0, "at least 0"),
-        (np.zeros((4, 4)), math.nan, "at least 0"),
-        (np.zeros(4), 1.0, r"\(H, W\)"),
+        (np.full((4, 4), np.inf), 1.0),
+        (np.full((4, 4), np.nan), 1.0),
+        (np.zeros((4, 4)), -1.0),
+        (np.zeros((4, 4)), math.nan),
+        (np.zeros(4), 1.0),
     ],
 )
-def test_what_cannot_be_solved_is_said(gap, volume_mm3, words):
-    with pytest.raises(ContactError, match=words):
+def test_what_cannot_be_solved_is_said(gap, volume_mm3):
+    with refused(ContactError):
         solve_indentation(gap, volume_mm3, AREA)

@@ -6,6 +6,7 @@ import pytest
 from tacgen.core.errors import DatasetError
 from tacgen.core.records import GRASPS, PRESS_LOG, similar_columns, unit_problems
 from tacgen.dataset.real_grasps import read_real_grasps
+from tests.messages import refused
 
 
 @pytest.mark.parametrize(
@@ -56,17 +57,14 @@ def test_real_grasps_warn_of_columns_and_units(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("content", "words"),
+    "content",
     [
-        (b"grasp_id,object,label\na,can,1\nb,can,0,5,6\n", "line 3 has 5 cells, the header 3"),
-        (b"", "it is empty"),
-        (b"grasp_id,object,label\n\xff\xfe\n", "is not UTF-8 text"),
+        b"grasp_id,object,label\na,can,1\nb,can,0,5,6\n",
+        b"",
+        b"grasp_id,object,label\n\xff\xfe\n",
     ],
 )
-def test_a_file_that_is_no_csv_is_refused_without_the_reader_s_own_words(tmp_path, content, words):
+def test_a_file_that_is_no_csv_is_refused_without_the_reader_s_own_words(tmp_path, content):
     (tmp_path / "grasps.csv").write_bytes(content)
-    with pytest.raises(DatasetError) as caught:
+    with refused(DatasetError):
         read_real_grasps(tmp_path, needs=())
-    assert words in str(caught.value)
-    assert "tokeniz" not in str(caught.value)
-    assert "codec" not in str(caught.value)

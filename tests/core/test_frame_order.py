@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from tacgen.core.errors import TacgenError
 from tacgen.core.images import in_time_order
+from tests.messages import refused
 
 
 def order_of(names):
@@ -37,16 +38,16 @@ def test_a_frame_and_a_second_count_in_this_order():
 
 
 @pytest.mark.parametrize(
-    ("names", "said"),
+    "names",
     [
-        (["before.png", "during.png", "after.png"], "do not tell the order"),
-        (["0.png", "1.png", "2_.png"], "do not tell the order"),
-        (["a1.png", "b2.png"], "do not tell the order"),
-        (["1.png", "01.png"], "the same number"),
-        (["1.png", "1.jpg"], "the same number"),
-        (["cam1.9.png", "cam1.10.png"], "in one order as decimals"),
+        ["before.png", "during.png", "after.png"],
+        ["0.png", "1.png", "2_.png"],
+        ["a1.png", "b2.png"],
+        ["1.png", "01.png"],
+        ["1.png", "1.jpg"],
+        ["cam1.9.png", "cam1.10.png"],
     ],
 )
-def test_names_without_one_order_are_refused(names, said):
-    with pytest.raises(TacgenError, match=said):
+def test_names_without_one_order_are_refused(names):
+    with refused(TacgenError):
         order_of(names)

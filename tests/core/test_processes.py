@@ -19,6 +19,7 @@ import pytest
 from tacgen.core import processes
 from tacgen.core.errors import TacgenError
 from tacgen.core.processes import map_in_processes, run_tasks
+from tests.messages import refused
 
 ITEMS_PER_TASK = 4
 
@@ -144,35 +145,35 @@ def test_a_worker_that_falls_silent_between_items_is_replaced_and_nothing_is_los
 
 
 def test_a_task_whose_worker_is_always_killed_stops_the_run_with_the_cause(tmp_path):
-    with pytest.raises(TacgenError, match="out of memory"):
+    with refused(TacgenError):
         results(tmp_path, {5: "killed"}, workers=1)
 
 
 @pytest.mark.parametrize("items", [(4, 5, 6), (6, 7, 8)])
 def test_three_crashes_in_a_row_stop_the_run_with_the_cause(tmp_path, items):
     """Of one task, or of two that follow each other."""
-    with pytest.raises(TacgenError, match=r"3 grasps in a row crashed.*SIGSEGV"):
+    with refused(TacgenError):
         results(tmp_path, dict.fromkeys(items, "segfault"))
 
 
 def test_wrong_input_ends_the_run_with_its_own_words(tmp_path):
-    with pytest.raises(TacgenError, match="^item 5 is wrong; fix it$"):
+    with refused(TacgenError):
         results(tmp_path, {5: "wrong_input"})
 
 
 def test_a_bug_is_not_hidden(tmp_path):
-    with pytest.raises(RuntimeError, match="ZeroDivisionError"):
+    with pytest.raises(RuntimeError, match="ZeroDivisionError"):  # with a traceback
         results(tmp_path, {5: "bug"})
 
 
-def refused(item):
+def wrong(item):
     raise TacgenError(f"item {item} is wrong; fix it")
 
 
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 def test_an_error_in_a_mapped_process_keeps_its_words(method):
-    with pytest.raises(TacgenError, match="^item 4 is wrong; fix it$"):
-        map_in_processes(refused, [4, 5], 2, method=method)
+    with refused(TacgenError):
+        map_in_processes(wrong, [4, 5], 2, method=method)
 
 
 def handlers(_item):
@@ -223,19 +224,19 @@ def test_a_worker_has_todays_environment_and_one_thread_a_library(tmp_path, monk
 def test_workers_that_cannot_start_are_told_of(tmp_path, monkeypatch):
     """The process that they are copied from dies at once, whenever it is started."""
 
-    def refused(*_):
+    def dies(*_):
         raise ConnectionRefusedError(111, "Connection refused")
 
-    monkeypatch.setattr("multiprocessing.context.ForkServerProcess.start", refused)
+    monkeypatch.setattr("multiprocessing.context.ForkServerProcess.start", dies)
     monkeypatch.setattr("tacgen.core.processes._START_PAUSE_S", 0.0)
-    with pytest.raises(TacgenError, match=r"no worker process could be started with .*python"):
+    with refused(TacgenError):
         results(tmp_path, {})
 
 
 def test_a_temporary_folder_too_long_for_a_socket_is_named(tmp_path, monkeypatch):
     folder = str(tmp_path / ("long" * 25))
     monkeypatch.setattr(processes, "get_temp_dir", lambda: folder)
-    with pytest.raises(TacgenError, match=r"long: too long a path .* set TMPDIR to a shorter one"):
+    with refused(TacgenError):
         results(tmp_path, {})
 
 

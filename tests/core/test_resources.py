@@ -12,6 +12,7 @@ from tacgen.core.resources import (
     packaged,
     sensor_path,
 )
+from tests.messages import refused
 
 SENSORS, GRIPPERS = packaged("recipes") / "sensors", packaged("recipes") / "grippers"
 RECIPES = ["name: own\nobjects: [golf_ball]\n", '{"sensor": digit}\n', "\ufeffextends: rig\n"]
@@ -42,9 +43,9 @@ def test_an_own_sensor_of_that_name_comes_first():
 
 def test_where_there_is_no_other_it_says_that_a_recipe_was_found():
     Path("mine.yaml").write_text("objects: [golf_ball]\n", encoding="utf-8")
-    with pytest.raises(RecipeError, match=r"mine\.yaml is a recipe, not a sensor: no sensor"):
+    with refused(RecipeError):
         sensor_path("mine")
-    with pytest.raises(RecipeError, match=r"mine\.yaml is a recipe, not a contact law"):
+    with refused(RecipeError):
         contact_law_path("mine.yaml")
-    with pytest.raises(RecipeError, match=r"mine\.yaml is the recipe itself: no recipe named"):
+    with refused(RecipeError):
         find_recipe("mine", extended_by=Path("mine.yaml"))

@@ -20,6 +20,7 @@ from tacgen.dataset.grasp_page import write_grasp_page
 from tacgen.dataset.schema import SEGMENTS
 from tacgen.dataset.summary import summarize, summary_text, write_card
 from tacgen.dataset.verify import verify
+from tests.messages import refused
 
 from .conftest import collect_toy, make_sample, make_spec, vouch_for
 
@@ -84,10 +85,10 @@ def test_torch_gives_cameras_beside_the_touch(dataset, frames):
     np.testing.assert_array_equal(sample["camera/left/depth_mm"].numpy(), depth_mm)
     assert sample["camera/left/segmentation"].dtype == torch.int64
     np.testing.assert_array_equal(sample["camera/left/segmentation"].numpy(), ids)
-    with pytest.raises(DatasetError, match="'camera/lift/rgb' is not known"):
+    with refused(DatasetError):
         dataset.torch(channels=("camera/lift/rgb",))
     if frames == "grasp":
-        with pytest.raises(DatasetError, match=r"of the moment of grasp alone.*frames: all"):
+        with refused(DatasetError):
             dataset.view(0, "camera/left/rgb", 2)
 
 
@@ -111,7 +112,7 @@ def test_summary_card_and_pages_show_it(dataset, frames, tmp_path):
 def test_a_dataset_without_cameras_says_so(toy):
     plain = Dataset(toy.root)
     assert (plain.views, dict(plain.cameras), plain.read(0).cameras) == ((), {}, {})
-    with pytest.raises(DatasetError, match=r"no 'camera/a/rgb'.*has no cameras.*scene: {cameras"):
+    with refused(DatasetError):
         plain.view(0, "camera/a/rgb")
     with h5py.File(toy.shard_path(0)) as file:
         assert "cameras" not in file.attrs

@@ -12,6 +12,7 @@ from tacgen.dataset import Dataset
 from tacgen.dataset.export import export_dataset
 from tacgen.dataset.real_grasps import read_real_grasps
 from tacgen.learning.grasps import RealGraspImages
+from tests.messages import refused
 
 
 def test_a_dataset_becomes_a_folder_of_grasps_that_says_it_is_not_real(toy, tmp_path):
@@ -39,20 +40,15 @@ def test_labels_alone(toy, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "words"),
+    "options",
     [
-        (
-            {"format_name": "zarr"},
-            "--format 'zarr' is not known; give one of lerobot, images, webdataset",
-        ),
-        ({"split": "validation"}, "--split 'validation' is not known; give one of train, test"),
-        ({"format_name": "lerobot", "images": False}, "--no-images: lerobot always holds images"),
+        {"format_name": "zarr"},
+        {"split": "validation"},
+        {"format_name": "lerobot", "images": False},
     ],
 )
-def test_what_cannot_be_exported_is_refused_before_anything_is_written(
-    toy, tmp_path, options, words
-):
+def test_what_cannot_be_exported_is_refused_before_anything_is_written(toy, tmp_path, options):
     given = {"format_name": "real-grasps"} | options
-    with pytest.raises(DatasetError, match=words):
+    with refused(DatasetError):
         export_dataset(toy.root, tmp_path / "out", **given)
     assert [path.name for path in tmp_path.iterdir()] == ["toy"]

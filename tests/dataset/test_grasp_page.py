@@ -13,6 +13,7 @@ from tacgen.cli import app
 from tacgen.core.errors import DatasetError
 from tacgen.dataset import grasp_page, overlays
 from tacgen.dataset.grasp_page import write_grasp_page
+from tests.messages import refused
 
 from .conftest import TOUCH, collect_toy, make_spec
 
@@ -38,7 +39,7 @@ def test_the_command_names_the_page(data, tmp_path):
     result = CliRunner().invoke(app, ["view", str(data), "--grasp", "2", "--no-browser"])
     assert result.exit_code == 0, result.output
     assert result.stdout.strip() == str(data / "grasp-00002.html")
-    with pytest.raises(DatasetError, match="no grasp 99; it has 0 to 9"):
+    with refused(DatasetError):
         write_grasp_page(data, 99, tmp_path / "page.html")
 
 

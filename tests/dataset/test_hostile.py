@@ -10,6 +10,7 @@ from tacgen.core.errors import DatasetError
 from tacgen.dataset import DatasetFolder
 from tacgen.dataset.gallery import write_gallery
 from tacgen.dataset.verify import verify
+from tests.messages import refused
 
 from .conftest import make_sample
 from .test_writer import digests
@@ -64,7 +65,7 @@ def test_a_broken_line_is_its_shards_fault(toy):
     toy.line_path(1).write_text("{")
     found = verify(toy.root)
     assert found.bad_shards == (1,)
-    with pytest.raises(DatasetError, match=r"shard-00001\.json: .*`tacgen collect` remakes that"):
+    with refused(DatasetError):
         toy.merge()
 
 
@@ -76,9 +77,7 @@ def test_a_spoiled_recipe_is_told_and_written_again(toy, spec, kind):
     assert problem.file == "recipe.yaml"
     assert "`tacgen collect` with that recipe writes it again" in problem.reason
     write_gallery(toy.root)
-    with pytest.raises(
-        DatasetError, match="holds another dataset; these differ:\n  .* there, .* now"
-    ):
+    with refused(DatasetError):
         DatasetFolder(toy.root).prepare(replace(spec, recipe_sha256="ef"))
     toy.prepare(spec)
     assert toy.recipe_path.read_text() == text
@@ -105,7 +104,7 @@ def test_a_changed_byte_of_what_the_shards_have_in_common_is_found(toy, spec, ol
 @pytest.mark.parametrize("kind", ["missing", "empty"])
 def test_without_a_plan_shards_of_another_recipe_are_not_taken_for_ones_own(toy, spec, kind):
     KINDS[kind](toy.plan_path)
-    with pytest.raises(DatasetError, match=r"shard-00000\.json is of another recipe"):
+    with refused(DatasetError):
         DatasetFolder(toy.root).prepare(replace(spec, recipe_sha256="ef"))
 
 
@@ -113,12 +112,12 @@ def test_without_a_plan_shards_of_another_recipe_are_not_taken_for_ones_own(toy,
 def test_a_folder_where_a_file_should_be_is_named(toy, spec, name):
     (toy.root / name).unlink()
     (toy.root / name).mkdir()
-    with pytest.raises(DatasetError, match=f"{name}: is a directory; remove it"):
+    with refused(DatasetError):
         run_again(toy, spec)
 
 
 def test_shards_that_may_not_be_read_are_not_taken_for_none(toy, monkeypatch):
     monkeypatch.setattr(os, "access", lambda path, _: path != toy.root / "shards")
     toy.manifest_path.unlink()
-    with pytest.raises(DatasetError, match="shards: permission denied; ask its owner"):
+    with refused(DatasetError):
         toy.manifest()

@@ -8,6 +8,7 @@ import pytest
 from tacgen.core.errors import DatasetError
 from tacgen.dataset.import_formats import import_grasps
 from tacgen.dataset.real_grasps import read_real_grasps
+from tests.messages import refused
 
 GEL = np.full((24, 32, 3), (90, 120, 150), np.uint8)  # blue, green, red
 
@@ -184,12 +185,12 @@ def test_feeling_of_success_what_is_not_sure_is_named(tmp_path):
 def test_what_needs_force_and_place_says_so(tmp_path):
     write_feeling_of_success(tmp_path / "calandra_000.h5", [("mug", True)])
     import_grasps("feeling-of-success", tmp_path, tmp_path / "out")
-    with pytest.raises(DatasetError, match="without force and place a grasp cannot be simulated"):
+    with refused(DatasetError):
         read_real_grasps(tmp_path / "out")
 
 
 def test_an_empty_source_writes_nothing(tmp_path):
     (tmp_path / "empty").mkdir()
-    with pytest.raises(DatasetError, match="no grasps of the layout poseit"):
+    with refused(DatasetError):
         import_grasps("poseit", tmp_path / "empty", tmp_path / "out")
     assert not (tmp_path / "out").exists()

@@ -13,6 +13,7 @@ from tacgen.cli import app
 from tacgen.core.errors import DatasetError, TacgenError
 from tacgen.dataset import Dataset
 from tacgen.dataset.export import export_dataset
+from tests.messages import refused
 
 from .conftest import collect_toy, make_spec
 
@@ -97,12 +98,12 @@ def test_statistics_are_those_of_all_frames(exported, toy):
 
 
 def test_refusals_leave_nothing(toy, tmp_path):
-    with pytest.raises(DatasetError, match="--format 'zarr' is not known"):
+    with refused(DatasetError):
         export_dataset(toy.root, tmp_path / "out", "zarr")
-    with pytest.raises(TacgenError, match="exists already; give a new folder"):
+    with refused(TacgenError):
         export_dataset(toy.root, toy.root, "lerobot")
     toy.shard_path(1).unlink()
-    with pytest.raises(DatasetError, match="shard is missing"):
+    with refused(DatasetError):
         export_dataset(toy.root, tmp_path / "out", "lerobot")
     assert [path.name for path in tmp_path.iterdir()] == ["toy"]
 

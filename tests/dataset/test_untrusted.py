@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from tacgen.core.errors import DatasetError
 from tacgen.dataset.manifest import parse_line
 from tacgen.dataset.shard import open_shard
+from tests.messages import refused
 
 CHECKOUT = Path(__file__).parents[2]
 
@@ -92,35 +93,35 @@ def test_any_value_for_a_key_of_a_line(toy, data):
 
 
 @pytest.mark.parametrize(
-    ("attributes", "words"),
+    "attributes",
     [
-        ({}, "not a shard of tacgen"),
-        ({"format": "tacgen"}, "not a shard of tacgen"),
-        ({"format_version": np.int64(2)}, "made by a newer tacgen"),
-        ({"sensor": np.bytes_(b"../../x")}, "sensor '../../x' with pads 'left' is not known"),
-        ({"pads": np.bytes_(b"left,middle")}, "with pads 'left,middle' is not known"),
-        ({"index_range": np.array([0, 10**9])}, "does not go with 4 grasps"),
-        ({"format_version": "1" * 1000}, "not a shard of tacgen"),
+        {},
+        {"format": "tacgen"},
+        {"format_version": np.int64(2)},
+        {"sensor": np.bytes_(b"../../x")},
+        {"pads": np.bytes_(b"left,middle")},
+        {"index_range": np.array([0, 10**9])},
+        {"format_version": "1" * 1000},
     ],
 )
-def test_attributes_that_are_not_the_schemas(toy, attributes, words):
+def test_attributes_that_are_not_the_schemas(toy, attributes):
     with h5py.File(toy.shard_path(0), "r+") as file:
         if not attributes:
             del file.attrs["format"]
         for name, value in attributes.items():
             file.attrs[name] = value
-    with pytest.raises(DatasetError, match=words):
+    with refused(DatasetError):
         open_shard(toy.shard_path(0))
 
 
 def test_a_text_file_a_folder_and_a_stranger_are_no_shards(tmp_path):
     path = tmp_path / "shard.h5"
     path.write_text("hello")
-    with pytest.raises(DatasetError, match="cannot be read as a shard"):
+    with refused(DatasetError):
         open_shard(path)
     with h5py.File(tmp_path / "other.h5", "w") as file:
         file["x"] = np.zeros(3)
-    with pytest.raises(DatasetError, match="not a shard of tacgen"):
+    with refused(DatasetError):
         open_shard(tmp_path / "other.h5")
-    with pytest.raises(DatasetError, match="the shard is missing"):
+    with refused(DatasetError):
         open_shard(tmp_path)

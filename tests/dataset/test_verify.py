@@ -12,6 +12,7 @@ from tacgen.core.errors import DatasetError, VerificationError
 from tacgen.dataset import Dataset
 from tacgen.dataset.manifest import parse_line
 from tacgen.dataset.verify import verify
+from tests.messages import refused
 
 from .conftest import collect_toy, make_sample, make_spec, vouch_for
 
@@ -94,7 +95,7 @@ def test_links_to_other_files_are_refused(toy, tmp_path):
             file["/object/pose"] = link
         vouch_for(toy, 0)
         assert "/object/pose is missing, or a link" in reasons(toy.root)
-        with pytest.raises(DatasetError, match="is missing, or a link"):
+        with refused(DatasetError):
             Dataset(toy.root).read(0)
     with h5py.File(toy.shard_path(1), "r+") as file:
         del file["/object/pose"]
@@ -124,7 +125,7 @@ def test_an_image_that_claims_another_size_is_not_decompressed(tmp_path, path, p
         images.id.write_direct_chunk(corner, raw[:start] + b"\x7f\x7f" + raw[start + 2 :])
     vouch_for(toy, 0)
     assert f"the image {place} of {path} is damaged" in reasons(toy.root)
-    with pytest.raises(DatasetError, match="damaged"):
+    with refused(DatasetError):
         Dataset(toy.root).read(1)
 
 
@@ -155,16 +156,16 @@ def test_command_verify(toy):
 
 
 @pytest.mark.parametrize(
-    ("text", "words"),
+    "text",
     [
-        ("{", "not a line of a manifest"),
-        ("[" * 100_000, "not a line of a manifest"),
-        ("{}", "shard: Field required"),
-        ('{"schema": 2}', "made by a newer tacgen"),
+        "{",
+        "[" * 100_000,
+        "{}",
+        '{"schema": 2}',
     ],
 )
-def test_lines_that_are_none(text, words):
-    with pytest.raises(DatasetError, match=words):
+def test_lines_that_are_none(text):
+    with refused(DatasetError):
         parse_line(text, "manifest.jsonl:1")
 
 
@@ -186,7 +187,7 @@ def test_lines_that_are_none(text, words):
 )
 def test_lines_that_lie_are_refused(toy, change):
     line = json.loads(toy.manifest_path.read_text().splitlines()[0]) | change
-    with pytest.raises(DatasetError, match=next(iter(change))):
+    with refused(DatasetError):
         parse_line(json.dumps(line), "manifest.jsonl:1")
 
 
@@ -194,7 +195,7 @@ def test_a_plan_of_another_version_is_neither_sound_nor_replaced(toy, spec):
     plan = json.loads(toy.plan_path.read_text()) | {"schema": 2}
     toy.plan_path.write_text(json.dumps(plan))
     assert any("made by a newer tacgen" in p.reason for p in verify(toy.root).problems)
-    with pytest.raises(DatasetError, match="made by a newer tacgen"):
+    with refused(DatasetError):
         toy.prepare(spec)
     assert json.loads(toy.plan_path.read_text()) == plan
 

@@ -12,6 +12,7 @@ import pytest
 from tacgen.core.errors import DatasetError
 from tacgen.core.records import GraspConfig
 from tacgen.dataset import DatasetFolder
+from tests.messages import refused
 
 from .conftest import collect_toy, make_sample
 
@@ -77,22 +78,22 @@ def test_same_bytes_in_another_order_and_another_process(tmp_path, spec):
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    "change",
     [
-        ({"label": -1}, "grasp 1: label -1 does not go with status executed"),
-        ({"status": "sleepy"}, "grasp 1: status 'sleepy' is not one of"),
-        ({"split": "half"}, "grasp 1: split 'half' is not one of train, test"),
-        ({"pads": {}}, r"/tactile/gelsight/rgb: the image \(1, 0\) is missing"),
-        ({"object_pose": np.full((3, 7), np.nan)}, "/object/pose: row 1 is not finite"),
-        ({"config": GraspConfig(2, "can", 5.0, 0.0, 0.0, 40.0)}, "index is not 0 to 3, each once"),
+        {"label": -1},
+        {"status": "sleepy"},
+        {"split": "half"},
+        {"pads": {}},
+        {"object_pose": np.full((3, 7), np.nan)},
+        {"config": GraspConfig(2, "can", 5.0, 0.0, 0.0, 40.0)},
     ],
 )
-def test_a_grasp_that_does_not_fit_is_refused_and_leaves_nothing(tmp_path, spec, change, words):
+def test_a_grasp_that_does_not_fit_is_refused_and_leaves_nothing(tmp_path, spec, change):
     folder = DatasetFolder(tmp_path)
     folder.prepare(spec)
     samples = [make_sample(i, spec) for i in range(4)]
     samples[1] = replace(samples[1], **change)
-    with pytest.raises(DatasetError, match=words):
+    with refused(DatasetError):
         folder.write_shard(0, samples, spec)
     assert not list((tmp_path / "shards").iterdir())
 
@@ -101,6 +102,6 @@ def test_a_grasp_that_does_not_fit_is_refused_and_leaves_nothing(tmp_path, spec,
 def test_grasps_missing_or_too_many_are_refused_and_leave_nothing(tmp_path, spec, count):
     folder = DatasetFolder(tmp_path)
     folder.prepare(spec)
-    with pytest.raises(ValueError, match="zip"):
+    with refused(ValueError):
         folder.write_shard(0, (make_sample(i, spec) for i in range(count)), spec)
     assert not list((tmp_path / "shards").iterdir())

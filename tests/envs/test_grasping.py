@@ -14,6 +14,7 @@ from tacgen.core.errors import LearningError, RecipeError
 from tacgen.core.sensors import load_sensor
 from tacgen.envs.grasp_world import grasp_values
 from tests.envs.test_grasp_world import engine, small_recipe  # noqa: F401
+from tests.messages import refused
 
 gymnasium = pytest.importorskip("gymnasium")
 
@@ -199,52 +200,52 @@ def test_processes_side_by_side():
 
 
 @pytest.mark.parametrize(
-    ("action", "message"),
+    "action",
     [
-        (np.zeros(3), r"\(3,\) is not 5 numbers: force_n, x_mm, y_mm, z_mm, yaw_rad"),
-        ("firmly", "str is not 5 numbers"),
-        (np.array([4.0, 0.0, np.nan, 30.0, 0.0]), "y_mm = nan is not within -8 to 8"),
-        (np.array([np.inf, 0.0, 0.0, 30.0, 0.0]), "force_n = inf is not within 1 to 12"),
-        (np.array([4.0, 0.0, 0.0, 41.0, 0.0]), "z_mm = 41 is not within 20 to 40.*Normalized"),
+        np.zeros(3),
+        "firmly",
+        np.array([4.0, 0.0, np.nan, 30.0, 0.0]),
+        np.array([np.inf, 0.0, 0.0, 30.0, 0.0]),
+        np.array([4.0, 0.0, 0.0, 41.0, 0.0]),
     ],
 )
-def test_what_is_no_action_is_refused(action, message):
+def test_what_is_no_action_is_refused(action):
     env = make(GRASP)
     env.reset(seed=0)
-    with pytest.raises(LearningError, match=message):
+    with refused(LearningError):
         env.step(action)
 
 
 @pytest.mark.filterwarnings("ignore:.*render_mode:UserWarning")
 @pytest.mark.parametrize(
-    ("name", "options", "message"),
+    ("name", "options"),
     [
-        (GRASP, {"render_mode": "ansi"}, "render_mode 'ansi' is not known"),
-        (GRASP, {"image_px": (0, 5)}, r"image_px = \(0, 5\); give \(height, width\)"),
-        (GRASP, {"image_px": 64}, "image_px = 64; give"),
-        (REGRASP, {"max_regrasps": -1}, "max_regrasps = -1; give a whole number"),
-        (REGRASP, {"regrasp_cost": float("nan")}, "regrasp_cost = nan; give 0 or more"),
-        (REGRASP, {"regrasp_cost": "a"}, "regrasp_cost = 'a'; give 0 or more"),
+        (GRASP, {"render_mode": "ansi"}),
+        (GRASP, {"image_px": (0, 5)}),
+        (GRASP, {"image_px": 64}),
+        (REGRASP, {"max_regrasps": -1}),
+        (REGRASP, {"regrasp_cost": float("nan")}),
+        (REGRASP, {"regrasp_cost": "a"}),
     ],
 )
-def test_what_is_no_setting_is_refused(name, options, message):
-    with pytest.raises(LearningError, match=message):
+def test_what_is_no_setting_is_refused(name, options):
+    with refused(LearningError):
         make(name, **options)
 
 
 def test_what_is_no_recipe_grasp_or_object_is_refused():
-    with pytest.raises(RecipeError, match="did you mean 'quickstart'"):
+    with refused(RecipeError):
         gymnasium.make(GRASP, recipe="quikstart")
     env = make(GRASP)
-    for options, message in [
-        ({"grasp": 36}, "the recipe's grasps are 0 to 35"),
-        ({"grasp": "first"}, "the recipe's grasps are 0 to 35"),
-        ({"shape": "cube"}, "give one of grasp, object"),
-        ({"grasp": 1, "object": "rubiks_cube"}, "give one of grasp, object"),
-    ]:
-        with pytest.raises(LearningError, match=message):
+    for options in (
+        {"grasp": 36},
+        {"grasp": "first"},
+        {"shape": "cube"},
+        {"grasp": 1, "object": "rubiks_cube"},
+    ):
+        with refused(LearningError):
             env.reset(options=options)
-    with pytest.raises(RecipeError, match="object 'cube' is not known"):
+    with refused(RecipeError):
         env.reset(options={"object": "cube"})
 
 
@@ -293,9 +294,8 @@ def test_a_copy_or_a_pickled_one_shows_the_same(name):
 def test_frames_that_a_learner_would_take_for_rows_are_refused():
     recipe = small_recipe(frames={"mode": "sequence", "count": 24})
     env = gymnasium.make(GRASP, recipe=recipe, image_px=(48, 64))
-    with pytest.raises(LearningError, match="72 channels over 48 × 64 px.*image_px above 72") as e:
+    with refused(LearningError):
         Normalized(env)
-    assert "frames.count at most 15" in str(e.value)
     fits = Normalized(gymnasium.make(GRASP, recipe=recipe, image_px=(73, 80)))
     assert fits.observation_space["left_rgb"].shape == (73, 80, 72)
 

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.messages import refused
+
 pytest.importorskip("torch")
 
 from tacgen.cli import main
@@ -105,19 +107,19 @@ def changed(world: Path, **sections: str):
 
 
 @pytest.mark.parametrize(
-    ("section", "text", "says"),
+    ("section", "text"),
     [
-        ("objects", "[sugar_box, cup]", "no model of cup, only of sugar_box"),
-        ("frames", "{mode: sequence, count: 4, span_s: 0.9}", "another time_s"),
-        ("optics", "{markers: true}", "another markers"),
-        ("dataset", "{scene_pictures: false}", "also sees markers"),
-        ("grid", "{force_n: 22, y_mm: 0, z_mm: 90}", "single grasp"),
-        ("sensor", "digit", "another sensor, table"),
+        ("objects", "[sugar_box, cup]"),
+        ("frames", "{mode: sequence, count: 4, span_s: 0.9}"),
+        ("optics", "{markers: true}"),
+        ("dataset", "{scene_pictures: false}"),
+        ("grid", "{force_n: 22, y_mm: 0, z_mm: 90}"),
+        ("sensor", "digit"),
     ],
 )
-def test_a_run_of_other_images_or_objects_is_refused(world, tmp_path, section, text, says):
+def test_a_run_of_other_images_or_objects_is_refused(world, tmp_path, section, text):
     recipe = changed(tmp_path, **{section: text})
-    with pytest.raises(LearningError, match=says):
+    with refused(LearningError):
         regrasp(world / "run", recipe, tmp_path / "out", FEW)
     assert not (tmp_path / "out").exists()
 
@@ -128,11 +130,11 @@ def test_a_run_that_sees_a_camera_is_refused(world, tmp_path):
     plan = json.loads(path.read_text())
     plan["recipe"]["input"]["channels"] = ["image", "vision"]
     path.write_text(json.dumps(plan))
-    with pytest.raises(LearningError, match="sees a camera.*without the channel vision"):
+    with refused(LearningError):
         Question.checked(tmp_path / "run", load_recipe(world / "small.yaml"))
 
 
 def test_what_is_no_run_is_refused(world, tmp_path):
     recipe = load_recipe(world / "small.yaml")
-    with pytest.raises(LearningError, match="tacgen train"):
+    with refused(LearningError):
         regrasp(world / "data", recipe, tmp_path / "out", FEW)

@@ -29,6 +29,7 @@ from tacgen.dataset.verify import verify
 from tacgen.learning.run_folder import RunFolder
 from tacgen.rig import load_rig_recipe, run_rig
 from tests.dataset.conftest import collect_toy, make_spec
+from tests.messages import refused
 from tests.small_world import write_world
 
 NOBODY = 65534
@@ -63,10 +64,8 @@ def files(folder: Path) -> dict[str, bytes]:
 def test_a_full_disk_ends_an_export_with_one_message_and_nothing_left(layout, tmp_path):
     data = collect_toy(tmp_path / "data", make_spec(n_grasps=20)).root
     before = files(tmp_path)
-    with largest_file(1024), pytest.raises(DatasetError) as caught:
+    with refused(DatasetError), largest_file(1024):
         export_dataset(data, tmp_path / "out", layout)
-    assert str(caught.value).startswith(f"{tmp_path / 'out'}: file too large; raise the limit")
-    assert "shards" not in str(caught.value)  # no finished work is kept, and none is promised
     assert files(tmp_path) == before
 
 
@@ -99,12 +98,12 @@ def test_a_rig_session_that_was_cut_short_is_finished(tmp_path):
     run_rig(recipe, tmp_path / "cut")
     assert files(tmp_path / "cut") == whole
     # Of a session that is whole, or of another recipe's, nothing is replaced unasked.
-    with pytest.raises(DatasetError, match="exists already; pass --force"):
+    with refused(DatasetError):
         run_rig(recipe, tmp_path / "cut")
     (presses / "sensor.yaml").unlink()
     (presses / "press_0001_0.png").unlink()
     kept = (presses / "press_0000_0.png").stat().st_mtime_ns
-    with pytest.raises(DatasetError, match="exists already; pass --force"):
+    with refused(DatasetError):
         run_rig(recipe.model_copy(update={"seed": 9}), tmp_path / "cut")
     run_rig(recipe, tmp_path / "cut")
     assert files(tmp_path / "cut") == whole
@@ -114,7 +113,7 @@ def test_a_rig_session_that_was_cut_short_is_finished(tmp_path):
     assert files(tmp_path / "cut") == files(tmp_path / "other")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine/press_log.csv").write_text("my own")
-    with pytest.raises(TacgenError, match="not from a run of this command"):
+    with refused(TacgenError):
         run_rig(recipe, tmp_path / "mine", force=True)
 
 
@@ -135,8 +134,8 @@ def test_an_export_removes_what_a_killed_one_left_but_not_of_one_at_work(tmp_pat
     left = tmp_path / ".out.abcdefgh.part"
     left.mkdir()
     (left / "half").write_text("half")
-    refused = pytest.raises(TacgenError, match=f"process {os.getpid()} on .* is writing it")
-    with locked(tmp_path / ".out.lock"), refused, atomic_folder(tmp_path / "out"):
+    at_work = refused(TacgenError, hide=rf"(?<=process ){os.getpid()} on \S+")
+    with locked(tmp_path / ".out.lock"), at_work, atomic_folder(tmp_path / "out"):
         pass
     assert left.exists()
     with atomic_folder(tmp_path / "out") as partial:
@@ -202,14 +201,13 @@ def test_what_may_not_be_read_is_not_called_broken(public):
 def test_a_link_to_nothing_is_named_and_never_replaced(tmp_path):
     link = tmp_path / "link"
     link.symlink_to("/nowhere/x")
-    words = "link: is a link to /nowhere/x, which is not there"
-    with pytest.raises(DatasetError, match=words):
+    with refused(DatasetError):
         collect_toy(link, make_spec())
-    with pytest.raises(LearningError, match=words):
+    with refused(LearningError):
         RunFolder(link).prepare({}, {})
-    with pytest.raises(DatasetError, match="exists already"):
+    with refused(DatasetError):
         refuse_existing(False, link)
-    with pytest.raises(TacgenError, match="exists already"), atomic_folder(link):
+    with refused(TacgenError), atomic_folder(link):
         pass
 
 

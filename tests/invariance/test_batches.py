@@ -11,6 +11,7 @@ import tacgen
 from tacgen.contact.law import ContactLaw, FittedEffect
 from tacgen.core.errors import ContactError, SensorError
 from tacgen.core.records import Estimate
+from tests.messages import refused
 
 CREEP = FittedEffect(
     "creep",
@@ -23,7 +24,7 @@ POSES = np.stack([np.eye(4)] * 2)
 NOWHERE = np.nan * POSES
 
 
-def course(law, refused, message):
+def course(law, call):
     """The frame of a third call, after one between that is refused."""
     batch = tacgen.BatchSensor(
         "gelsight_mini", 2, "cpu", contact=law, markers=True, noise=True, seed=3
@@ -31,9 +32,9 @@ def course(law, refused, message):
     ball = batch.add_mesh(BALL)
     for time_s, shear_n in ((0.0, 1.5), (1.0, 2.0)):
         batch.render_meshes([ball] * 2, POSES, 4.0, [[shear_n, 0.0]] * 2, time_s=time_s)
-    if refused is not None:
-        with pytest.raises((ContactError, SensorError), match=message):
-            refused(batch)
+    if call is not None:
+        with refused((ContactError, SensorError)):
+            call(batch)
     found = batch.render_meshes([ball] * 2, POSES, 4.0, time_s=2.0)
     return found.markers_mm.copy(), found.depth_mm.copy(), found.rgb.copy()
 
@@ -41,7 +42,7 @@ def course(law, refused, message):
 @pytest.fixture(scope="module")
 def undisturbed():
     """The course that no refused call is in."""
-    return course(CREEPING, None, "")
+    return course(CREEPING, None)
 
 
 GAP_MM = np.full((2, 240, 320), np.nan, np.float32)
@@ -49,23 +50,23 @@ PULL = [[3.0, 0.0]] * 2
 
 
 @pytest.mark.parametrize(
-    ("refused", "message"),
+    "call",
     [
-        (lambda b: b.render_meshes([0, 0], POSES, [-1.0, 1.0], time_s=100.0), "force_n is neg"),
-        (lambda b: b.render_meshes([0, 0], POSES, [-1.0, 1.0]), "force_n is neg"),
-        (lambda b: b.render_meshes([0, 0], NOWHERE, 4.0, PULL, time_s=100.0), "not finite"),
-        (lambda b: b.render_meshes([0, 0], NOWHERE, 4.0, PULL, time_s=1.5), "not finite"),
-        (lambda b: b.render_meshes([0, 0], NOWHERE, 4.0, time_s=0.5), "not finite"),
-        (lambda b: b.render_meshes([0, 0], POSES, np.ones(3), time_s=0.5), "has the shape"),
-        (lambda b: b.render_meshes([0, 7], POSES, 4.0, PULL, time_s=[0.5, 3.0]), "has an index"),
-        (lambda b: b.render(0.0 * GAP_MM, 4.0), "the map holds NaN"),
-        (lambda b: b.render(np.zeros_like(GAP_MM), 4.0, PULL), "shear moves the object"),
-        (lambda b: b.render(np.zeros_like(GAP_MM), 4.0, time_s=0.5), "shear moves the object"),
-        (lambda b: b.render_depth(GAP_MM), "the map holds NaN"),
+        lambda b: b.render_meshes([0, 0], POSES, [-1.0, 1.0], time_s=100.0),
+        lambda b: b.render_meshes([0, 0], POSES, [-1.0, 1.0]),
+        lambda b: b.render_meshes([0, 0], NOWHERE, 4.0, PULL, time_s=100.0),
+        lambda b: b.render_meshes([0, 0], NOWHERE, 4.0, PULL, time_s=1.5),
+        lambda b: b.render_meshes([0, 0], NOWHERE, 4.0, time_s=0.5),
+        lambda b: b.render_meshes([0, 0], POSES, np.ones(3), time_s=0.5),
+        lambda b: b.render_meshes([0, 7], POSES, 4.0, PULL, time_s=[0.5, 3.0]),
+        lambda b: b.render(0.0 * GAP_MM, 4.0),
+        lambda b: b.render(np.zeros_like(GAP_MM), 4.0, PULL),
+        lambda b: b.render(np.zeros_like(GAP_MM), 4.0, time_s=0.5),
+        lambda b: b.render_depth(GAP_MM),
     ],
 )
-def test_a_call_that_is_refused_changes_nothing(undisturbed, refused, message):
-    for found, right in zip(course(CREEPING, refused, message), undisturbed, strict=True):
+def test_a_call_that_is_refused_changes_nothing(undisturbed, call):
+    for found, right in zip(course(CREEPING, call), undisturbed, strict=True):
         np.testing.assert_array_equal(found, right)
 
 

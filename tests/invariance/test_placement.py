@@ -15,6 +15,7 @@ from tacgen.physics import FrameRequest, GelModel, GraspSimulator, PhysicsSettin
 from tacgen.physics.contacts import pressed
 from tacgen.physics.engine import Touch
 from tacgen.physics.reach import within_reach
+from tests.messages import refused
 from tests.physics.conftest import GRAVITY_M_S2, LIFT_LOAD, block, grasp, hull_mesh
 from validation.physics.placement import FAR, NEAR, NEARBY, Study, drawn, spread
 
@@ -258,7 +259,7 @@ def test_no_grasp_fails_whose_margin_holds(
 
 def test_pads_are_not_pressed_through(simulator: GraspSimulator) -> None:
     settings = settings_of(simulator, pad_stiffness_n_mm=1.0)
-    with pytest.raises(Exception, match=r"in by 10 mm.* 6 mm deep; raise .* above 1\.67"):
+    with refused(Exception):
         grasp(simulator, block(), force_n=10.0, settings=settings)
 
 

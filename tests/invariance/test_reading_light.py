@@ -8,6 +8,7 @@ import tacgen
 from tacgen.core.errors import TableError
 from tacgen.core.resources import sensor_files
 from tacgen.sensor.read_image import ImageReader
+from tests.messages import refused
 
 BALL = trimesh.creation.icosphere(subdivisions=5, radius=4.0)
 FORCE_N = 4.0
@@ -40,12 +41,21 @@ LIGHTS = {
     "both": {"gain": 0.8, "grey": 8.0},
     "vignetting": {"outwards": 0.25},
 }
+BETWEEN = ("0.9", "1.1", "both")
+"""Lights between others, or of two together."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("taken", "light"),
-    [(SENSORS[k % len(SENSORS)], light) for k, light in enumerate(LIGHTS)],
+    [
+        pytest.param(
+            SENSORS[k % len(SENSORS)],
+            light,
+            marks=pytest.mark.exhaustive if light in BETWEEN else (),
+        )
+        for k, light in enumerate(LIGHTS)
+    ],
     indirect=["taken"],
 )
 def test_a_picture_and_its_background_in_another_light_are_the_same_force(taken, light):
@@ -67,7 +77,7 @@ def test_a_light_out_of_range_is_stated(taken):
     found = reader.read(in_light(press, 0.5))
     assert "the background is 0.50, 0.50, 0.50 times as bright" in found.message
     for lost in (0, 255):
-        with pytest.raises(TableError, match="the background does not match the table's"):
+        with refused(TableError):
             ImageReader(sensor, np.full_like(rest, lost))
 
 
@@ -88,7 +98,10 @@ def test_a_background_is_no_contact_with_itself(taken, noise_grey):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("taken", "shape", "force_n"),
-    [(SENSORS[0], "ball", 0.5), (SENSORS[-1], "box", 4.0)],
+    [
+        (SENSORS[0], "ball", 0.5),
+        pytest.param(SENSORS[-1], "box", 4.0, marks=pytest.mark.exhaustive),
+    ],
     indirect=["taken"],
 )
 def test_a_press_as_background_is_stated(taken, shape, force_n):
@@ -110,5 +123,5 @@ def test_a_press_as_background_is_stated(taken, shape, force_n):
 def test_a_grey_picture_is_refused(taken):
     sensor, rest, press = taken
     grey = np.repeat(press.mean(axis=2, keepdims=True), 3, axis=2).astype(np.uint8)
-    with pytest.raises(TableError, match="it is grey, its three channels are equal"):
+    with refused(TableError):
         ImageReader(sensor, rest).read(grey)

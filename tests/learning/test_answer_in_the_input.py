@@ -28,6 +28,7 @@ from tests.learning.conftest import (
     tactile_frames,
 )
 from tests.learning.test_train import FASTER
+from tests.messages import refused
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("small_backbone")]
 N_FRAMES, GRASP_FRAME, LIFT_FRAME = 5, 1, 2
@@ -158,16 +159,14 @@ def test_real_sequences_without_a_lift_frame_are_noted(runs, data, tmp_path):
     assert "give lift_frame" in " ".join(evaluate(runs["lift"], real=path.parent)["notes"])
 
 
-@pytest.mark.parametrize(
-    ("frame", "words"), [("1.5", "is no number of an image"), ("7", "but it has 5 images")]
-)
-def test_a_frame_that_cannot_be_is_refused(data, tmp_path, frame, words):
+@pytest.mark.parametrize("frame", ["1.5", "7"])
+def test_a_frame_that_cannot_be_is_refused(data, tmp_path, frame):
     export_dataset(data, tmp_path / "real", "real-grasps", split="test")
     path = tmp_path / "real" / "grasps.csv"
     table = pd.read_csv(path, dtype=str)
     table.loc[2, "lift_frame"] = frame
     table.to_csv(path, index=False)
-    with pytest.raises(DatasetError, match=words):
+    with refused(DatasetError):
         read_real_grasps(path.parent)
 
 
@@ -204,7 +203,7 @@ def test_controls_tell_nothing_where_there_is_nothing_to_tell(runs, data, capsys
 def test_controls_need_the_runs_own_dataset(runs, data, tmp_path):
     other = make_spec(80, N_FRAMES, time_s=TIMES_S, recipe_sha256="ef" * 32)
     shutil.copytree(runs["grasp"], tmp_path / "run")
-    with pytest.raises(LearningError, match="is not the dataset that .* was trained on"):
+    with refused(LearningError):
         evaluate(tmp_path / "run", collect(tmp_path / "o", other, lost_when_lifted), controls=True)
-    with pytest.raises(LearningError, match="give --data DIR instead of --real"):
+    with refused(LearningError):
         evaluate(tmp_path / "run", real=tmp_path, controls=True)

@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.messages import refused
+
 torch = pytest.importorskip("torch")
 
 from typer.testing import CliRunner  # noqa: E402
@@ -99,7 +101,7 @@ def test_the_touch_of_one_grasp_changes_its_logits_alone(kind, small_backbone):
 def test_channels_that_are_none_are_refused(channels, tmp_path):
     path = tmp_path / "t.yaml"
     path.write_text(f"name: t\nkind: train\ninput: {{channels: {json.dumps(channels)}}}\n")
-    with pytest.raises(RecipeError, match=r"t\.yaml:3.*channels"):
+    with refused(RecipeError):
         load_train_recipe(path)
 
 
@@ -139,19 +141,19 @@ def test_the_predictor_takes_it_and_says_what_is_missing(run, data):
     predictor = tacgen.Predictor(run)
     found = predictor.predict(images, touch)
     assert ((found >= 0.5) == (columns["label"][rows] == 1)).all()
-    with pytest.raises(LearningError, match="also sees markers_mm.*give touch="):
+    with refused(LearningError):
         predictor.predict(images)
     touch["markers_mm"][0] = touch["markers_mm"][0][:3]
-    with pytest.raises(LearningError, match=r"markers_mm of a grasp is \(1, 3, 2\)"):
+    with refused(LearningError):
         predictor.predict(images, touch)
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("small_backbone")
 def test_data_without_it_or_of_another_shape_is_refused(run, toy, tmp_path):
-    with pytest.raises(DatasetError, match=r"has no markers_mm; collect it with"):
+    with refused(DatasetError):
         evaluate(run, data=toy)
-    with pytest.raises(DatasetError, match=r"has no force_field_n; collect it with"):
+    with refused(DatasetError):
         train(recipe_of(input={"channels": ["image", "force_field"]}), toy, tmp_path / "run")
     spec = make_spec(**(TOUCH | {"force_field": (2, 2)}))
 
@@ -164,7 +166,7 @@ def test_data_without_it_or_of_another_shape_is_refused(run, toy, tmp_path):
         return replace(sample, pads=pads)
 
     other = collect(tmp_path / "other", spec, coarser)
-    with pytest.raises(LearningError, match="force_field_n is of 2×2×3 a frame.*3×4×3"):
+    with refused(LearningError):
         evaluate(run, data=other)
 
 
@@ -172,7 +174,7 @@ def test_data_without_it_or_of_another_shape_is_refused(run, toy, tmp_path):
 @pytest.mark.usefixtures("small_backbone")
 def test_a_folder_of_pictures_and_the_command_say_what_they_lack(run, data, tmp_path):
     export_dataset(data, tmp_path / "real", "real-grasps", split="test")
-    with pytest.raises(LearningError, match="holds images alone, no markers_mm"):
+    with refused(LearningError):
         evaluate(run, real=tmp_path / "real")
     image = next((tmp_path / "real/images").glob("*/0.png"))
     result = CliRunner().invoke(app, ["predict", str(run), str(image)])

@@ -21,6 +21,7 @@ from tacgen.learning.backbone import (
 )
 from tacgen.learning.networks import build_network, build_optimizer
 from tacgen.learning.training_recipe import TrainingOptions
+from tests.messages import refused
 
 # Names and shapes of torchvision's resnet18, which its published weight file holds.
 STAGES = {1: 64, 2: 128, 3: 256, 4: 512}
@@ -181,23 +182,22 @@ def test_imagenet_weights_in_the_hub_cache_are_found(tmp_path, monkeypatch):
 def test_without_imagenet_weights_auto_says_none_and_imagenet_stops(monkeypatch):
     monkeypatch.setattr(backbone_module, "cached_imagenet_file", lambda: None)
     assert make_backbone("auto").origin == "none"
-    with pytest.raises(LearningError, match=r"no ImageNet weights .*model\.weights: none"):
+    with refused(LearningError):
         make_backbone("imagenet")
 
 
 @pytest.mark.slow
 def test_weights_that_are_not_a_resnet_18_are_refused(tmp_path, torchvision_weights):
-    cases = {
-        "missing": {k: v for k, v in torchvision_weights.items() if k != "layer3.1.conv2.weight"},
-        "do not belong": torchvision_weights | {"layer1.2.conv1.weight": torch.zeros(64, 64, 3, 3)},
-        "shape": torchvision_weights | {"layer1.0.conv1.weight": torch.zeros(64, 64, 1, 1)},
-    }
-    for word, weights in cases.items():
+    for weights in (
+        {k: v for k, v in torchvision_weights.items() if k != "layer3.1.conv2.weight"},
+        torchvision_weights | {"layer1.2.conv1.weight": torch.zeros(64, 64, 3, 3)},
+        torchvision_weights | {"layer1.0.conv1.weight": torch.zeros(64, 64, 1, 1)},
+    ):
         path = tmp_path / "w.safetensors"
         save_file(weights, path)
-        with pytest.raises(LearningError, match=f"not the weights of a ResNet-18.*{word}"):
+        with refused(LearningError):
             make_backbone(str(path))
-    with pytest.raises(LearningError, match=r"is no file; give a ResNet-18 weight file"):
+    with refused(LearningError):
         make_backbone(str(tmp_path / "nowhere.pth"))
 
 
@@ -209,10 +209,10 @@ class Harmful:
 def test_a_weight_file_with_code_in_it_is_refused_without_running_it(tmp_path):
     path = tmp_path / "weights.pth"
     path.write_bytes(pickle.dumps({"conv1.weight": Harmful()}))
-    with pytest.raises(LearningError, match="cannot be read as weights"):
+    with refused(LearningError):
         read_weights(path)
     torch.save({"conv1.weight": Harmful()}, path)
-    with pytest.raises(LearningError, match="cannot be read as weights"):
+    with refused(LearningError):
         read_weights(path)
 
 
@@ -220,5 +220,5 @@ def test_a_weight_file_with_code_in_it_is_refused_without_running_it(tmp_path):
 def test_a_damaged_weight_file_is_told(tmp_path: Path, content: bytes):
     for name in ("w.pth", "w.safetensors"):
         (tmp_path / name).write_bytes(content)
-        with pytest.raises(LearningError, match=name):
+        with refused(LearningError):
             read_weights(tmp_path / name)

@@ -13,6 +13,7 @@ from tacgen.core.errors import LearningError
 from tacgen.dataset import Dataset
 from tacgen.learning.evaluate import evaluate
 from tacgen.learning.train import train
+from tests.messages import refused
 
 from .conftest import recipe_of
 
@@ -66,7 +67,7 @@ def test_the_prior_moves_the_odds(run, grasps_to_test):
         for found in [tacgen.Predictor(run, prior=prior).predict(images)]
     ]
     np.testing.assert_allclose(odds[1] / odds[0], 9.0)
-    with pytest.raises(LearningError, match="no share of grasps between 0 and 1"):
+    with refused(LearningError):
         tacgen.Predictor(run, prior=1.0)
 
 
@@ -78,7 +79,7 @@ def test_a_sequence_of_frames(sequence, toy, capsys):
     assert "was trained on 3 frames over 1 s of each grasp, not 2" in capsys.readouterr().err
     assert found.shape == (2,)
     assert ((found > 0) & (found < 1)).all()
-    with pytest.raises(LearningError, match="give two or more frames of each grasp"):
+    with refused(LearningError):
         tacgen.Predictor(sequence).predict(dataset.rgb(0))
 
 
@@ -119,26 +120,26 @@ def test_frames_named_by_time_or_number_are_those_of_the_grasp(
 
 
 @pytest.mark.parametrize(
-    ("images", "words"),
+    "images",
     [
-        (np.zeros((1, 24, 32, 3), np.uint8), r"trained on uint8 RGB of shape \(48, 64, 3\)"),
-        (np.zeros((1, 2, 48, 64, 3), np.uint8), "give one image a grasp, not 2"),
-        (np.zeros((1, 48, 64, 3), np.float32), "an image is float32"),
+        np.zeros((1, 24, 32, 3), np.uint8),
+        np.zeros((1, 2, 48, 64, 3), np.uint8),
+        np.zeros((1, 48, 64, 3), np.float32),
     ],
 )
-def test_images_that_do_not_fit_are_refused(run, images, words):
-    with pytest.raises(LearningError, match=words):
+def test_images_that_do_not_fit_are_refused(run, images):
+    with refused(LearningError):
         tacgen.Predictor(run).predict(images)
 
 
 def test_an_object_without_a_model_is_named(run, tmp_path):
-    with pytest.raises(LearningError, match="has models for can, cup; name one of these objects"):
+    with refused(LearningError):
         tacgen.Predictor(run, "spoon")
-    with pytest.raises(LearningError, match="give the folder that `tacgen train --out` made"):
+    with refused(LearningError):
         tacgen.Predictor(tmp_path)
 
 
 def test_a_run_of_a_newer_tacgen_says_so(tmp_path):
     (tmp_path / "run.json").write_text('{"schema": 2}')
-    with pytest.raises(LearningError, match="run.json: made by a newer tacgen .schema 2.* upgrade"):
+    with refused(LearningError):
         tacgen.Predictor(tmp_path)

@@ -25,6 +25,7 @@ from tests.learning.conftest import (
     make_spec,
     recipe_of,
 )
+from tests.messages import refused
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("small_backbone")]
 
@@ -213,12 +214,12 @@ def test_the_threads_belong_to_the_run(toy, recipe, trained):
     changed = recipe.model_copy(
         update={"training": recipe.training.model_copy(update={"threads": 2})}
     )
-    with pytest.raises(LearningError, match=r"recipe\.training\.threads: 1 there, 2 now"):
+    with refused(LearningError):
         train(changed, toy, trained)
 
 
 def test_a_folder_with_a_run_of_another_network_is_refused(toy, trained):
-    with pytest.raises(LearningError, match=r"holds another run.*model\.kind.*another --out"):
+    with refused(LearningError):
         train(recipe_of("single", training={"epochs": 3}), toy, trained)
 
 
@@ -228,12 +229,10 @@ def test_a_checkpoint_of_another_model_is_refused(toy, recipe, trained, tmp_path
     single = tmp_path / "single"
     train(recipe_of("single", training={"epochs": 1}), toy, single)
     shutil.copy(single / "models/pooled/checkpoint.pt", run / "models/pooled/checkpoint.pt")
-    with pytest.raises(LearningError, match="not a checkpoint of the sequence network"):
+    with refused(LearningError):
         train(recipe, toy, run)
     (run / "models/pooled/checkpoint.pt").write_bytes(b"broken")
-    with pytest.raises(
-        LearningError, match=r"cannot be read as a checkpoint.*train from the start"
-    ):
+    with refused(LearningError):
         train(recipe, toy, run)
 
 
@@ -251,9 +250,7 @@ def test_a_diverging_loss_stops_with_words_and_keeps_the_last_checkpoint(
 
     monkeypatch.setattr(fit_module.TrainingState, "_run_epoch", wild)
     run = tmp_path / "run"
-    with pytest.raises(
-        LearningError, match=r"diverged to .* in epoch 2.*learning_rate.*epoch 1 is kept"
-    ):
+    with refused(LearningError):
         train(recipe_of(training={"epochs": 4}), toy, run)
     state = torch.load(run / "models/pooled/checkpoint.pt", weights_only=True)
     assert state["epoch"] == 1

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.messages import refused
+
 torch = pytest.importorskip("torch")
 
 import tacgen  # noqa: E402
@@ -116,17 +118,17 @@ def test_touch_is_the_image_in_a_recipe_and_its_hash():
 
 
 @pytest.mark.parametrize(
-    ("line", "message"),
+    "line",
     [
-        ("channels: [touch, image]", r"channels.*each of the others once"),
-        ("channels: [markers]", "names `touch` or `vision`"),
-        ("camera: front", "input.camera is of the channel `vision`"),
+        "channels: [touch, image]",
+        "channels: [markers]",
+        "camera: front",
     ],
 )
-def test_channels_that_are_none_are_refused(line, message, tmp_path):
+def test_channels_that_are_none_are_refused(line, tmp_path):
     path = tmp_path / "t.yaml"
     path.write_text(f"name: t\ninput: {{{line}}}\n")
-    with pytest.raises(RecipeError, match=message):
+    with refused(RecipeError):
         load_train_recipe(path)
 
 
@@ -154,9 +156,9 @@ def test_it_learns_what_the_touch_does_not_tell(data, tmp_path, channels):
     found = predictor.predict(touch if given else vision, **given)
     assert ((found >= 0.5) == (columns["label"][rows] == 1)).all()
     if given:
-        with pytest.raises(LearningError, match="also sees the camera 'front': give vision="):
+        with refused(LearningError):
             predictor.predict(touch)
-        with pytest.raises(LearningError, match=r"uint8 RGB of shape \(40, 50, 3\)"):
+        with refused(LearningError):
             predictor.predict(touch, vision=touch)
 
 
@@ -165,13 +167,13 @@ def test_it_learns_what_the_touch_does_not_tell(data, tmp_path, channels):
 def test_what_lacks_the_camera_or_has_it_elsewhere_is_said(data, toy, tmp_path):
     run = trained(data, tmp_path / "run", "touch", "vision", kind="sequence", until="outcome")
     assert evaluate(run, data=data)["accuracy"] > 0.9
-    with pytest.raises(LearningError, match="has no cameras for vision; collect it with `scene"):
+    with refused(LearningError):
         evaluate(run, data=toy)
     moment = collect(tmp_path / "moment", make_spec(cameras=CAMERAS), only_by_sight)
-    with pytest.raises(DatasetError, match="of the moment of grasp alone.*frames: all"):
+    with refused(DatasetError):
         evaluate(run, data=moment)
     export_dataset(data, tmp_path / "real", "real-grasps", split="test")
-    with pytest.raises(LearningError, match="none of the network's camera front"):
+    with refused(LearningError):
         evaluate(run, real=tmp_path / "real")
     moved = np.eye(4)
     moved[0, 3] = 50.0
@@ -182,5 +184,5 @@ def test_what_lacks_the_camera_or_has_it_elsewhere_is_said(data, toy, tmp_path):
     assert any("camera 'front' is not placed as in training" in one for one in notes)
     larger = tuple(replace(one, height_px=48) for one in CAMERAS)
     spec = make_spec(cameras=larger, camera_frames=True)
-    with pytest.raises(LearningError, match="its camera 'front' has 50×48 px.*trained on 50×40"):
+    with refused(LearningError):
         evaluate(run, data=collect(tmp_path / "larger", spec, only_by_sight))

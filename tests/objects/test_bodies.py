@@ -7,6 +7,7 @@ import trimesh
 from tacgen.core.errors import ObjectError
 from tacgen.objects.mesh_import import import_surface
 from tacgen.objects.meshes import mass_properties, volume_mm3
+from tests.messages import refused
 
 
 @pytest.fixture(autouse=True)
@@ -170,7 +171,7 @@ def test_a_strip_with_one_side_is_refused():
     for k in range(60):
         here, there = (k, k + 60), ((k + 1), (k + 61)) if k < 59 else (60, 0)
         faces += [[here[0], there[0], here[1]], [there[0], there[1], here[1]]]
-    with pytest.raises(ObjectError, match="not a closed surface|no volume"):
+    with refused(ObjectError):
         read(trimesh.Trimesh(np.vstack(rows), faces, process=False), name="strip.ply")
 
 
@@ -181,5 +182,5 @@ def test_a_tilted_bar_is_as_wide_as_across_it():
     assert np.ptp(bar.vertices, axis=0).min() > 110.0
     surface, _ = read(bar)
     assert volume_mm3(surface) == pytest.approx(30.0 * 30 * 240, rel=1e-5)
-    with pytest.raises(ObjectError, match="too large for a gripper"):
+    with refused(ObjectError):
         read(box((130.0, 130.0, 240.0)).apply_transform(turn))

@@ -7,6 +7,7 @@ import trimesh
 from tacgen.core.errors import ObjectError
 from tacgen.objects.mesh_import import import_surface
 from tacgen.objects.meshes import mass_properties, volume_mm3
+from tests.messages import refused
 
 LINK = """<link name="{name}"><visual><origin xyz="{xyz}" rpy="{rpy}"/>
 <geometry>{shape}</geometry></visual></link>"""
@@ -79,30 +80,27 @@ def test_a_link_without_visual_has_its_collision_shape():
 
 
 @pytest.mark.parametrize(
-    ("elements", "words"),
+    "elements",
     [
-        ([], "its links have no shape"),
-        ([link("a", "")], "has no geometry"),
-        ([link("a", "<plane/>")], "geometry <plane> is not one of mesh, box"),
-        ([link("a", '<box size="0.1 0.1"/>')], "size that is not above 0"),
-        ([link("a", '<box size="1 nan 1"/>')], "is not the numbers it takes"),
-        ([link("a", '<sphere radius="-1"/>')], "size that is not above 0"),
-        ([link("a", BASE, xyz="0 0")], "is not the numbers it takes"),
-        ([link("a", '<mesh filename="none.stl"/>')], "its mesh 'none.stl' is not in its folders"),
-        ([link("a", '<mesh filename="/etc/passwd"/>')], "is not in its folders"),
-        ([link("a", '<mesh filename="../../../../../etc/passwd"/>')], "is not in its folders"),
-        ([link("a", '<mesh filename="thing.urdf"/>')], "not a mesh tacgen reads"),
-        ([link("a", BASE), joint("a", "b")], "does not join two links"),
-        ([link("a", BASE), link("b", BASE), joint("a", "b"), joint("b", "a")], "in a circle at"),
-        (["<!DOCTYPE r [<!ENTITY a 'aaaa'>]>"], "declares a document type"),
-        (["<xacro:macro/>"], "is a xacro file"),
-        (["<a>"], "cannot be read as URDF"),
-        (
-            [link("a", BASE)] * 1 + [link(f"b{k}", BASE) for k in range(1001)],
-            "more than 1000 shapes",
-        ),
+        [],
+        [link("a", "")],
+        [link("a", "<plane/>")],
+        [link("a", '<box size="0.1 0.1"/>')],
+        [link("a", '<box size="1 nan 1"/>')],
+        [link("a", '<sphere radius="-1"/>')],
+        [link("a", BASE, xyz="0 0")],
+        [link("a", '<mesh filename="none.stl"/>')],
+        [link("a", '<mesh filename="/etc/passwd"/>')],
+        [link("a", '<mesh filename="../../../../../etc/passwd"/>')],
+        [link("a", '<mesh filename="thing.urdf"/>')],
+        [link("a", BASE), joint("a", "b")],
+        [link("a", BASE), link("b", BASE), joint("a", "b"), joint("b", "a")],
+        ["<!DOCTYPE r [<!ENTITY a 'aaaa'>]>"],
+        ["<xacro:macro/>"],
+        ["<a>"],
+        [link("a", BASE)] * 1 + [link(f"b{k}", BASE) for k in range(1001)],
     ],
 )
-def test_what_is_no_object_is_refused_with_what_and_how(elements, words):
-    with pytest.raises(ObjectError, match=words):
+def test_what_is_no_object_is_refused_with_what_and_how(elements):
+    with refused(ObjectError):
         import_surface(write(*elements))

@@ -19,6 +19,7 @@ from tacgen.optics.image_models import (
 )
 from tacgen.optics.reconstruct import Reconstructor
 from tacgen.sensor.tactile_pad import TactilePad
+from tests.messages import refused
 from tests.small_world import slope_table
 
 SENSOR = Sensor("lit", 120, 160, 0.1, 3.0)
@@ -126,8 +127,7 @@ def test_a_table_of_an_unknown_model_is_refused(tmp_path, monkeypatch):
     path = tmp_path / "table.npz"
     save_table(lambert_table(), path)
     monkeypatch.delitem(base._MODELS, "lambert")
-    unknown = r"table\.npz: its image model 'lambert' is unknown \(there are quadratic, response\)"
-    with pytest.raises(TableError, match=unknown):
+    with refused(TableError):
         load_table(path)
 
 

@@ -14,6 +14,7 @@ from tacgen.core.errors import TableError
 from tacgen.optics import LookupTable, load_table, render_rgb, save_table
 from tacgen.optics.render import Renderer
 from tacgen.optics.table import ContactLight
+from tests.messages import refused
 
 SHAPE = (90, 120)
 MM_PER_PX = 0.1
@@ -126,7 +127,7 @@ def test_a_contact_adds_by_depth_slope_and_place(tmp_path):
     )
     at_rest = replace(made, contact=None)
     np.testing.assert_array_equal(render_rgb(dome(), made), render_rgb(dome(), at_rest))
-    with pytest.raises(TableError, match="contact has shape"):
+    with refused(TableError):
         replace(made, response=None)
 
 
@@ -170,7 +171,7 @@ def test_a_response_survives_its_file_and_a_wrong_one_is_refused(tmp_path):
     np.testing.assert_array_equal(render_rgb(bumps(), read), render_rgb(bumps(), made))
     save_table(table(), tmp_path / "plain.npz")
     assert load_table(tmp_path / "plain.npz").response is None
-    with pytest.raises(TableError, match="response has shape"):
+    with refused(TableError):
         replace(made, response=made.response[..., :1])
 
 
@@ -271,12 +272,12 @@ def test_noise_has_the_tables_width_is_seeded_and_off_without_a_generator():
 
 
 def test_a_table_of_another_resolution_and_holes_are_refused():
-    with pytest.raises(TableError, match=r"\(90, 120\)"):
+    with refused(TableError):
         render_rgb(np.zeros((80, 120)), table())
     holed = dome()
     holed[3, 3] = np.nan
-    with pytest.raises(TableError, match="not finite"):
+    with refused(TableError):
         render_rgb(holed, table())
     unknown = table(effects={"sparkle": {}, "background_gain": {"gain": 1.0}})
-    with pytest.raises(TableError, match=r"(?s)sparkle.*no parameter 'gain'"):
+    with refused(TableError):
         render_rgb(dome(), unknown)

@@ -8,29 +8,23 @@ from pydantic import ValidationError
 from tacgen.core.errors import PhysicsError
 from tacgen.core.records import GraspConfig
 from tacgen.physics import FrameRequest, GraspSimulator, PhysicsSettings, run_grasp
+from tests.messages import refused
 
 from .conftest import block, grasp
 
 
 class TestBadInput:
     @pytest.mark.parametrize(
-        ("force_n", "words"),
+        "force_n",
         [
-            (
-                50.0,
-                "force_n = 50 exceeds robot.max_force_n = 40; lower it or raise robot.max_force_n",
-            ),
-            (0.0, "force_n = 0 is not a force to grip with; ask for more than 0 N"),
-            (float("nan"), "force_n = nan is not a force to grip with"),
+            50.0,
+            0.0,
+            float("nan"),
         ],
     )
-    def test_forces_out_of_range(
-        self, simulator: GraspSimulator, force_n: float, words: str
-    ) -> None:
-        with pytest.raises(PhysicsError) as caught:
+    def test_forces_out_of_range(self, simulator: GraspSimulator, force_n: float) -> None:
+        with refused(PhysicsError):
             grasp(simulator, block(), force_n=force_n)
-        assert words in str(caught.value)
-        assert "grasp 0 of 'block'" in str(caught.value)
 
     def test_every_fault_of_the_settings_is_named(self) -> None:
         with pytest.raises(ValidationError) as caught:
@@ -45,11 +39,11 @@ class TestBadInput:
             "contact_average_steps",
         }
         assert found["pad_dome_radius_mm"].endswith("greater than or equal to 20")
-        with pytest.raises(ValidationError, match="= 200 is not reached by lift_mm = 180; lift"):
+        with refused(ValidationError):
             PhysicsSettings(success_rise_mm=200.0)
 
     def test_a_force_beyond_the_gripper(self, simulator: GraspSimulator) -> None:
-        with pytest.raises(PhysicsError, match=r"force_n = 99 exceeds robot\.max_force_n = 40"):
+        with refused(PhysicsError):
             grasp(simulator, block(), force_n=99.0)
 
     def test_a_force_that_never_arrives(self, simulator: GraspSimulator) -> None:
@@ -76,14 +70,12 @@ class TestBadInput:
         assert trace.rise_mm == pytest.approx(180.0 * label, abs=1.0)
 
     def test_an_unknown_robot(self) -> None:
-        with pytest.raises(
-            PhysicsError, match=r"robot 'panda' is not known: .* one of franka_digit, wsg50"
-        ):
+        with refused(PhysicsError):
             GraspSimulator("panda")
 
     def test_a_closed_simulator(self) -> None:
         pytest.importorskip("pybullet")
-        with pytest.raises(PhysicsError, match="use it in a `with` block"):
+        with refused(PhysicsError):
             run_grasp(
                 GraspSimulator(engine="pybullet"),
                 block(),

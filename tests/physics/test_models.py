@@ -21,6 +21,7 @@ from tacgen.physics.margins import TorsionLimit, grasp_capacity, slip_margin, to
 from tacgen.physics.outcome import Motion, failure_mode, first_slip, label_of
 from tacgen.physics.pybullet_import import require_numpy
 from tacgen.physics.world import ball_of, principal_axes
+from tests.messages import refused
 
 from .conftest import GRAVITY_M_S2, block
 
@@ -241,10 +242,8 @@ class TestWorld:
 
     def test_a_pybullet_without_numpy_is_refused_with_the_mend(self) -> None:
         without = SimpleNamespace(isNumpyEnabled=lambda: 0)
-        with pytest.raises(PhysicsError) as caught:
+        with refused(PhysicsError):
             require_numpy(without)  # type: ignore[arg-type]
-        assert "pip install --force-reinstall" in str(caught.value)
-        assert "Python 3.11" in str(caught.value)
 
 
 @pytest.mark.parametrize("center_mm", [(0.0, 0.0, 0.0), (3.0, -2.0, 21.0)])

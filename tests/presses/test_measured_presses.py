@@ -18,7 +18,13 @@ SETS = {
 }
 
 
-@pytest.fixture(scope="module", params=SETS)
+SETS_TO_READ = [
+    pytest.param(name, marks=() if name in ("taxim", "gelsight_mini") else pytest.mark.exhaustive)
+    for name in SETS
+]
+
+
+@pytest.fixture(scope="module", params=SETS_TO_READ)
 def presses(request, measured_data):
     return read_presses(measured_data / SETS[request.param])
 

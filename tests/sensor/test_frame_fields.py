@@ -11,6 +11,7 @@ import tacgen
 from tacgen.core.errors import SensorError
 from tacgen.sensor import simulated
 from tacgen.sensor.tactile_pad import TactilePad
+from tests.messages import refused
 
 BALL = trimesh.creation.icosphere(subdivisions=4, radius=6.0)
 
@@ -77,14 +78,14 @@ def test_fields_are_made_when_asked_for_and_pickled_as_arrays(sensor, monkeypatc
 
 @pytest.mark.parametrize("shape", [(0, 3), (3,), (2, 3, 4), (2.5, 3)])
 def test_a_shape_that_is_none_is_refused(shape):
-    with pytest.raises(SensorError, match="the numbers of its rows and columns"):
+    with refused(SensorError):
         tacgen.Sensor("gelsight_mini", force_field=shape)
 
 
 def test_a_frame_that_no_sensor_simulated_has_no_fields(sensor):
     frame = sensor.render(BALL, np.eye(4), force_n=1.0)
     alone = simulated.replace(frame, _touch=None)
-    with pytest.raises(SensorError, match="only one that a Sensor simulates"):
+    with refused(SensorError):
         _ = alone.markers_mm
 
 

@@ -15,6 +15,7 @@ from tacgen.core.resources import packaged
 from tacgen.core.safe_io import read_rgb
 from tacgen.optics import load_table
 from tacgen.sensor.listing import add_sensor, sensor_rows, write_picture
+from tests.messages import refused
 
 
 def said(*words: str) -> str:
@@ -80,12 +81,12 @@ def test_a_calibrated_table_becomes_a_sensor(tmp_path, monkeypatch):
     assert "my_digit" in said("list")
     (folder / "broken.yaml").write_text("name: broken\n")
     assert "broken" in said("list")  # one that cannot be read does not hide the others
-    with pytest.raises(TacgenError, match="exists already"):
+    with refused(TacgenError):
         add_sensor(Path(table), "my_digit", gel_depth_mm=2, dome_radius_mm=None, force=False)
-    with pytest.raises(TacgenError, match="does not reach the corners"):
+    with refused(TacgenError):
         add_sensor(Path(table), "other", gel_depth_mm=2, dome_radius_mm=5.0, force=False)
     assert not list(folder.glob("other*"))
-    with pytest.raises(TacgenError, match="give letters, digits and _"):
+    with refused(TacgenError):
         add_sensor(Path(table), "../x", gel_depth_mm=2, dome_radius_mm=None, force=False)
 
 
@@ -101,5 +102,5 @@ def test_images_of_several_folders_may_have_one_name(tmp_path):
     rows = read_files(ImageReader(sensor), paths, tmp_path / "out")
     assert [row["file"] for row in rows] == ["a_0.png", "b_0.png"]
     assert (tmp_path / "out/b_0.npz").is_file()
-    with pytest.raises(TacgenError, match="two images would be a_0: give each once"):
+    with refused(TacgenError):
         read_files(ImageReader(sensor), [paths[0]] * 2, tmp_path / "again")

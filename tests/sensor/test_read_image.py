@@ -377,7 +377,9 @@ def test_a_motion_beyond_what_the_law_can_make_is_no_load():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["anisotropy", "normal coupling"])
+@pytest.mark.parametrize(
+    "name", ["anisotropy", pytest.param("normal coupling", marks=pytest.mark.exhaustive)]
+)
 def test_a_picture_of_a_gel_with_effects_is_read_by_its_law(rig, sensor, name):
     description, _, camera = rig
     law = replace(ContactLaw.linear(K_N, K_S, 2.0), effects=tuple(LAWS[name]))
@@ -407,7 +409,16 @@ VIEWS = {
 }
 
 
-@pytest.mark.parametrize("view", VIEWS)
+OTHER_VIEWS = "turned by 180", "mirrored top to bottom"  # of the same search
+
+
+@pytest.mark.parametrize(
+    "view",
+    [
+        pytest.param(view, marks=pytest.mark.exhaustive if view in OTHER_VIEWS else ())
+        for view in VIEWS
+    ],
+)
 def test_another_view_is_refused(sensor, reader, press_of_3_n, view):
     """Of the picture alone, and of both it and its background."""
     other = np.ascontiguousarray(VIEWS[view](press_of_3_n))
@@ -518,7 +529,13 @@ def test_a_file_that_is_no_picture_is_named_once(reader, tmp_path):
     assert str(error.value).count("cut.png") == 1
 
 
-@pytest.mark.parametrize("name", list(sensor_files()))
+SHIPPED = [
+    pytest.param(name, marks=() if name in ("digit", "gelsight_mini") else pytest.mark.exhaustive)
+    for name in sensor_files()
+]
+
+
+@pytest.mark.parametrize("name", SHIPPED)
 def test_every_shipped_sensor_reads_what_it_renders(name):
     """With no background but its own, which on a dome is not the table's."""
     ball = trimesh.creation.icosphere(subdivisions=5, radius=4.0)

@@ -11,6 +11,7 @@ import tacgen
 import tacgen.contact
 from tacgen.core.errors import ContactError, SensorError, TableError
 from tacgen.sensor.simulated import Sensor, as_mesh
+from tests.messages import refused, warned
 
 BALL = trimesh.creation.icosphere(subdivisions=5, radius=4.0)
 GRAVITY_M_S2 = 9.81
@@ -53,7 +54,7 @@ def test_shear_moves_the_markers():
 
 @pytest.mark.parametrize("force_n", [-1.0, np.nan])
 def test_a_force_that_cannot_be_is_refused(sensor, force_n):
-    with pytest.raises(ContactError, match="give a force into the gel"):
+    with refused(ContactError):
         sensor.render(BALL, np.eye(4), force_n=force_n)
 
 
@@ -66,35 +67,35 @@ def turned(**changes):
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    "change",
     [
-        (lambda p: p @ np.diag([2.0, 2.0, 2.0, 1.0]), "its axes are 2, 2, 2 long, not 1; scale"),
-        (lambda p: p @ np.diag([1.01, 1.0, 1.0, 1.0]), "its axes are 1.01, 1, 1 long"),
-        (lambda p: p @ np.diag([1.0, 1.0, -1.0, 1.0]), "it mirrors"),
-        (lambda p: np.zeros((4, 4)), "the last row 0, 0, 0, 0"),
-        (lambda p: p @ np.diag([0.0, 0.0, 0.0, 1.0]), "its axes are 0, 0, 0 long"),
-        (lambda p: p + np.outer(np.eye(4)[0], np.eye(4)[1]) * 0.01, "is no rotation"),
-        (lambda p: (p + np.outer(np.eye(4)[0], np.eye(4)[3])).T, "was it transposed"),
-        (lambda p: p[:3], "is not \\(4, 4\\) finite numbers"),
+        lambda p: p @ np.diag([2.0, 2.0, 2.0, 1.0]),
+        lambda p: p @ np.diag([1.01, 1.0, 1.0, 1.0]),
+        lambda p: p @ np.diag([1.0, 1.0, -1.0, 1.0]),
+        lambda p: np.zeros((4, 4)),
+        lambda p: p @ np.diag([0.0, 0.0, 0.0, 1.0]),
+        lambda p: p + np.outer(np.eye(4)[0], np.eye(4)[1]) * 0.01,
+        lambda p: (p + np.outer(np.eye(4)[0], np.eye(4)[3])).T,
+        lambda p: p[:3],
     ],
     ids=["scaled", "stretched", "mirrored", "zero", "no rotation", "sheared", "transposed", "3×4"],
 )
-def test_a_pose_that_is_none_is_refused_wherever_it_enters(sensor, change, words):
+def test_a_pose_that_is_none_is_refused_wherever_it_enters(sensor, change):
     pose = turned(change=change)
-    with pytest.raises(ContactError, match=f"pose_gel_object .*{words}"):
+    with refused(ContactError):
         sensor.render(BALL, pose)
-    with pytest.raises(ContactError, match=words):
+    with refused(ContactError):
         tacgen.contact.gap_map(BALL.vertices, BALL.faces, pose, sensor.description)
-    with pytest.raises(SensorError, match=f"pose_link_gel .*{words}"):
+    with refused(SensorError):
         sensor.attach_pybullet(0, pose_link_gel=pose)
-    with pytest.raises(SensorError, match=f"pose_body_gel .*{words}"):
+    with refused(SensorError):
         sensor.attach_mujoco(None, None, 0, pose_body_gel=pose)
 
 
 def test_a_translation_in_metres_is_warned_of(sensor):
     moved = np.eye(4)
     moved[:3, 3] = 0.003, -0.002, 0.01
-    with pytest.warns(UserWarning, match="moves by 0.01 mm: is its translation in metres"):
+    with warned():
         sensor.render(BALL, moved)
     moved[:3, 3] = 3.0, -2.0, 1e-9
     with warnings.catch_warnings():
@@ -105,11 +106,11 @@ def test_a_translation_in_metres_is_warned_of(sensor):
 def test_a_mesh_in_metres_is_warned_of_or_refused(sensor):
     small = trimesh.creation.icosphere(subdivisions=3, radius=0.004)
     with (
-        pytest.warns(UserWarning, match="0.008 mm large: is it in metres"),
-        pytest.raises(ContactError, match="no pixel of 0.0634 mm .* give mesh and pose in mm"),
+        warned(),
+        refused(ContactError),
     ):
         sensor.render(small, np.eye(4))  # the gel's middle is a corner of four pixels
-    with pytest.warns(UserWarning, match="0.3 mm large: is it in metres"):
+    with warned():
         sensor.render(trimesh.creation.box((0.3, 0.1, 0.1)), np.eye(4))
 
 
@@ -117,9 +118,7 @@ def test_a_mesh_in_metres_is_warned_of_or_refused(sensor):
 def test_an_object_beside_the_gel_is_refused(sensor, x_mm):
     moved = np.eye(4)
     moved[0, 3] = x_mm
-    with pytest.raises(
-        ContactError, match=rf"over the gel of 30.3 × 25.2 mm: it is at x {x_mm - 4:g} to"
-    ):
+    with refused(ContactError):
         sensor.render(BALL, moved)
     assert sensor.render(BALL, moved, force_n=0.0).status == "no_contact"
 
@@ -165,7 +164,7 @@ def test_shear_of_what_the_window_shows_moves_its_markers():
 
 
 def test_markers_of_a_sensor_without_any_are_refused():
-    with pytest.raises(SensorError, match="digit has no markers to draw; leave them out, or give"):
+    with refused(SensorError):
         Sensor("digit", markers=True)
     assert Sensor("digit").render(BALL, np.eye(4)).markers_px is None
 
@@ -181,17 +180,17 @@ def test_a_table_of_another_dome_is_refused(tmp_path):
         contact=ContactLight(np.zeros((2, 2, 3, 3), np.float32), 0.3, 0.0),
     )
     save_table(flat, tmp_path / "flat.npz")
-    with pytest.raises(TableError, match="dome of 0 mm .*gelsight of 30.*`dome_radius_mm: 0`"):
+    with refused(TableError):
         Sensor("gelsight", table=tmp_path / "flat.npz")
 
 
 def test_what_is_no_mesh_is_refused(sensor):
-    with pytest.raises(ContactError, match=r"trimesh\.Trimesh or \(vertices_mm, faces\), not str"):
+    with refused(ContactError):
         sensor.render("ball.stl", np.eye(4))
 
 
 def test_reading_before_attaching_is_refused(sensor):
-    with pytest.raises(SensorError, match="attach_pybullet or attach_mujoco"):
+    with refused(SensorError):
         sensor.read()
 
 
@@ -306,7 +305,7 @@ def test_what_was_moved_and_still_touches_has_no_known_force(bullet):
     sensor.read()
     at, turned = p.getBasePositionAndOrientation(ball, physicsClientId=bullet)
     p.resetBasePositionAndOrientation(ball, [0.005, 0.0, at[2]], turned, physicsClientId=bullet)
-    with pytest.raises(SensorError, match="moved since the last step: call stepSimulation"):
+    with refused(SensorError):
         sensor.read()
     p.stepSimulation(physicsClientId=bullet)
     sensor.read()
@@ -342,11 +341,11 @@ def test_a_joint_that_was_reset_takes_the_gel_away(bullet):
 def test_an_object_that_is_not_there_is_refused(bullet):
     pad, _ = rest_on_pad(bullet, 0.1)
     sensor = Sensor("gelsight_mini").attach_pybullet(pad, client_id=bullet)
-    with pytest.raises(SensorError, match="knows of no object"):
+    with refused(SensorError):
         sensor.read()
-    with pytest.raises(SensorError, match="no body 77 on client"):
+    with refused(SensorError):
         sensor.add_object(77)
-    with pytest.raises(SensorError, match="link_id = 5: body . has links -1 .its base. to -1"):
+    with refused(SensorError):
         Sensor("gelsight_mini").attach_pybullet(pad, 5, client_id=bullet)
 
 
@@ -372,7 +371,7 @@ def test_the_same_ball_in_mujoco():
         torsion_n_mm=found.torsion_n_mm,
     )
     assert np.array_equal(frame.rgb, again.rgb)
-    with pytest.raises(SensorError, match="it has world, pad, ball"):
+    with refused(SensorError):
         sensor.attach_mujoco(model, data, "finger")
 
 
@@ -401,7 +400,7 @@ def test_what_mujoco_was_moved_to_is_computed_before_it_is_read(mujoco_drop):
     for place, value in ((2, 0.2), (0, resting[0] + 1e-3), (4, 0.5)):
         data.qpos[:] = resting
         data.qpos[place] = value
-        with pytest.raises(SensorError, match="ball: qpos is not that of the contacts.*mj_forward"):
+        with refused(SensorError):
             sensor.read()
     data.qpos[:] = resting
     data.qpos[2] = 0.2
@@ -432,7 +431,5 @@ def test_mujocos_forces_are_in_newtons_at_every_setting(mujoco_drop):
 
 
 def test_a_pull_that_friction_cannot_hold_is_said(sensor):
-    with pytest.warns(
-        UserWarning, match=r"more than friction holds \(0.8 × 2 N\): the object slides"
-    ):
+    with warned():
         sensor.render(BALL, np.eye(4), 2.0, (1.7, 0.0))

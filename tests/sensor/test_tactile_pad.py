@@ -17,6 +17,7 @@ from tacgen.core.sensors import load_sensor
 from tacgen.optics import deform, load_table, render_rgb
 from tacgen.optics.virtual_sensor import VirtualSensor
 from tacgen.sensor.tactile_pad import TactilePad
+from tests.messages import refused
 from validation.optics.sampled_table import sampled_table
 
 LEDS = tuple(
@@ -162,14 +163,14 @@ def test_the_force_field_sums_to_the_force_and_slips_from_the_rim(table):
 def test_a_mesh_is_checked_at_every_press(table):
     pad, mesh, load = TactilePad(SENSOR, table), ball(4.0, 3), GelLoad(5.0)
     assert pad.press(mesh, pose_at(), load).indentation_mm > 0
-    with pytest.raises(ContactError, match="pose_gel_object"):
+    with refused(ContactError):
         pad.press(mesh, np.full((4, 4), np.nan), load)
-    with pytest.raises(ContactError, match="faces name corners"):
+    with refused(ContactError):
         pad.press(replace(mesh, faces=mesh.faces + 1), pose_at(), load)
     loose = ball(4.0, 3)
     pad.press(loose, pose_at(), load)
     loose.vertices_mm[0] = np.nan
-    with pytest.raises(ContactError, match="finite"):
+    with refused(ContactError):
         pad.press(loose, pose_at(), load)
 
 

@@ -25,6 +25,7 @@ from tacgen.study.real_data import RealData
 from tacgen.study.run import check_finished, run_study
 from tacgen.study.study_recipe import load_study, run_folder_name, with_rows
 from tests.learning.conftest import collect, make_spec, write_real
+from tests.messages import refused
 from tests.small_world import SHORT_LIFT
 from tests.study.conftest import small_study
 
@@ -112,12 +113,8 @@ def test_every_mistake_of_a_study_is_told(tmp_path):
         "name: s\nobjects: [tomato_soup_can]\ndata: {objects: [cup]}\nrows:\n"
         "  - {name: one, train: {training: {epochs: 0}}}\n  - {name: one}\n"
     )
-    with pytest.raises(RecipeError) as caught:
+    with refused(RecipeError):
         load_study(path)
-    text = str(caught.value)
-    assert "s.yaml:3: data.objects belongs to the study or its row" in text
-    assert "rows[0] cannot be used" in text
-    assert "'one' is given twice" in text
 
 
 def test_a_misspelt_key_of_a_row_s_recipes_is_told_with_those_there_are(tmp_path):
@@ -126,17 +123,14 @@ def test_a_misspelt_key_of_a_row_s_recipes_is_told_with_those_there_are(tmp_path
         "name: s\nobjects: [cup]\ndata: {grid: {smple: 16}}\n"
         "train: {inptu: {}}\nrows: [{name: one}]\n"
     )
-    with pytest.raises(RecipeError) as caught:
+    with refused(RecipeError):
         load_study(path)
-    text = str(caught.value)
-    assert "grid.smple is not a known key (did you mean 'sample'?); known here: file," in text
-    assert "inptu is not a known key (did you mean 'input'?)" in text
 
 
 def test_rows_whose_runs_would_share_a_folder_are_told(tmp_path):
     path = tmp_path / "s.yaml"
     path.write_text("name: s\nobjects: [cup]\nrows:\n- name: one, two\n- name: One (two)\n")
-    with pytest.raises(RecipeError, match=r"'One \(two\)' would be kept in the folder of 'one, t"):
+    with refused(RecipeError):
         load_study(path)
 
 
@@ -150,7 +144,7 @@ def test_rows_are_chosen_by_name():
     study = load_study("paper_table")
     assert [row.name for row in with_rows(study, ["sequence"]).rows] == ["sequence"]
     assert with_rows(study, []) == study
-    with pytest.raises(RecipeError, match="has no row 'sequences'; its rows are .*'sequence'"):
+    with refused(RecipeError):
         with_rows(study, ["sequences"])
 
 
@@ -207,9 +201,8 @@ def test_a_study_of_which_nothing_can_be_trained_says_so_in_its_table(tmp_path, 
     path.write_text(path.read_text().replace("weights: none", "weights: missing.pth"))
     result = run_study(load_study(path), tmp_path / "out", RealData())
     assert "one model for all: NOT trained. " in (tmp_path / "out" / "table.md").read_text()
-    with pytest.raises(LearningError, match="fix these and run the same command again") as caught:
+    with refused(LearningError):
         check_finished(result)
-    assert str(caught.value).count("'missing.pth' is no file") == 2
 
 
 @pytest.mark.slow
@@ -233,11 +226,11 @@ def test_another_simulation_is_not_called_reality(tmp_path, toy, toy_collect, sm
 def test_friction_is_calibrated_on_other_grasps_than_those_tested_on(tmp_path, toy_collect):
     study = load_study(small_study(tmp_path, ", calibrate_friction: true"))
     real = write_real(tmp_path / "real")
-    with pytest.raises(TacgenError, match=r"give them with --calibrate-on DIR"):
+    with refused(TacgenError):
         run_study(study, tmp_path / "out", RealData(test=real))
-    with pytest.raises(TacgenError, match=r"share grasps, such as g00; calibrate on other"):
+    with refused(TacgenError):
         run_study(study, tmp_path / "out", RealData(test=real, calibration=real))
-    with pytest.raises(TacgenError, match=r"nosuch/grasps\.csv: no such file"):
+    with refused(TacgenError):
         run_study(study, tmp_path / "out", RealData(calibration=tmp_path / "nosuch"))
     assert not toy_collect
 
@@ -262,7 +255,7 @@ def test_friction_is_fitted_to_the_objects_of_the_study_alone(
     assert asked == [["can", "cup"]]
     table[table.object == "can"].to_csv(real / "grasps.csv", index=False)
     toy_collect.clear()
-    with pytest.raises(TacgenError, match="has no grasps of cup; add some to calibrate"):
+    with refused(TacgenError):
         run_study(study, tmp_path / "new", RealData(calibration=real))
     assert not toy_collect
 
@@ -270,10 +263,10 @@ def test_friction_is_fitted_to_the_objects_of_the_study_alone(
 @pytest.mark.slow
 def test_a_calibrated_contact_law_must_be_given(tmp_path, toy_collect, no_networks):
     study = load_study(small_study(tmp_path, ", calibrate_contact: true"))
-    with pytest.raises(TacgenError, match=r"contact\.yaml .*--contact FILE"):
+    with refused(TacgenError):
         run_study(study, tmp_path / "out", RealData())
     given = RealData(contact=tmp_path / "contact.yaml")
-    with pytest.raises(TacgenError, match=r"no contact law named .*contact\.yaml"):
+    with refused(TacgenError):
         run_study(study, tmp_path / "out", given)
     assert not toy_collect
     save_law(ContactLaw.linear(5.0, 1.0), given.contact)

@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.messages import refused
+
 pytest.importorskip("torch")
 
 from tacgen.collection.recipe import load_recipe
@@ -85,7 +87,7 @@ def test_the_networks_accuracy_is_that_of_what_it_saw():
     other = tried([(0.1, "held")] * 6)
     scores = _network_scores({"can": ObjectGrasps((), tried(seen + unseen), other)})
     assert scores == {"accuracy": pytest.approx(2 / 3), "holds": pytest.approx(1 / 3)}
-    with pytest.raises(LearningError, match="no grasp of the episodes could be executed"):
+    with refused(LearningError):
         _network_scores({"can": ObjectGrasps((), tried(unseen), other)})
 
 

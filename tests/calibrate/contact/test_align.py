@@ -21,6 +21,7 @@ from tacgen.presses.geometry import ball_depth_mm, ball_volume_mm3
 from tacgen.presses.lab_table import LogFormat, read_log_table
 from tacgen.presses.press_log import press_log_of
 from tacgen.rig import RigRecipe, load_rig_recipe, simulate_session
+from tests.messages import refused
 
 K_N, K_S = 5.135, 0.8
 
@@ -191,20 +192,20 @@ def test_k_n_of_an_unknown_ball_is_off_by_what_its_error_says(tmp_path):
 @pytest.mark.slow
 def test_shallow_curves_that_cannot_tell_the_radius_are_refused(tmp_path):
     """V ≈ π R d² for d ≪ R: only R / k_n is known."""
-    with pytest.raises(PressError, match="give the ball's radius with --radius-mm"):
+    with refused(PressError):
         align(read(curves(5.0, 4.0, 0.3, n_curves=3), tmp_path))
 
 
 @pytest.mark.parametrize(
-    ("depth_mm", "words"),
+    "depth_mm",
     [
-        ([0.1, None], "only 1 of 2 samples can be used"),
-        ([0.1, 0.2], "no press has 8 samples in contact"),
+        [0.1, None],
+        [0.1, 0.2],
     ],
 )
-def test_what_is_wrong_with_a_file_is_said(tmp_path, depth_mm, words):
+def test_what_is_wrong_with_a_file_is_said(tmp_path, depth_mm):
     frame = pd.DataFrame({"curve": "a", "force_normal_n": [1.0, 2.0], "depth_mm": depth_mm})
-    with pytest.raises(PressError, match=words):
+    with refused(PressError):
         align(read(frame, tmp_path))
 
 

@@ -21,6 +21,7 @@ from tacgen.contact.ball_shear import Place
 from tacgen.contact.law import load_law
 from tacgen.core.errors import PressError
 from tests.marker_sessions import K_N, K_S, SENSOR, make_session, read_session
+from tests.messages import refused
 
 
 def fitted(folder, frames=16) -> FieldFit:
@@ -63,9 +64,9 @@ def test_a_contact_that_sticks_gives_no_friction_but_how_much_there_is_at_least(
 def test_too_few_presses_or_no_sensor_are_refused(tmp_path):
     make_session(tmp_path, presses=3)
     log, tracks = read_session(tmp_path)
-    with pytest.raises(PressError, match="3 presses with shear force.*needs 4"):
+    with refused(PressError):
         field_data(tracks, SENSOR, K_N)
-    with pytest.raises(PressError, match="--sensor"):
+    with refused(PressError):
         load_tracks(tmp_path / "markers.csv", None, log)
 
 

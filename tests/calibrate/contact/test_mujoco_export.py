@@ -16,6 +16,7 @@ from tacgen.contact.law import ContactLaw, save_law
 from tacgen.core.errors import ContactError
 from tacgen.core.records import Estimate
 from tacgen.core.sensors import load_sensor
+from tests.messages import refused
 
 mujoco = pytest.importorskip("mujoco")
 
@@ -133,5 +134,5 @@ def test_the_command_says_what_of_the_law_is_left_out(tmp_path):
 
 def test_a_law_of_depths_is_refused(tmp_path):
     law = ContactLaw("linear_depth", Estimate(5.0, 0.0), k_depth_mm_per_n=Estimate(0.1, 0.0))
-    with pytest.raises(ContactError, match="which gives no volume; a pad of pins needs"):
+    with refused(ContactError):
         export_mujoco(law, SENSOR, tmp_path / "pad")

@@ -20,6 +20,7 @@ from tests.calibrate.lookup.test_taxim_import import (
     some_polycalib,
     taxim_picture_bgr,
 )
+from tests.messages import refused
 
 
 def surface_mm(shape, mm_per_px, x, y):
@@ -105,5 +106,5 @@ def test_the_command_says_what_the_form_loses(tmp_path):
     assert "Taxim's form is 0.00 grey (RMSE) from the table" in run.output
     names = {"polycalib.npz", "dataPack.npz", "gelmap.npy", "shadowTable.npz", "params.json"}
     assert {path.name for path in (tmp_path / "t").iterdir()} == names
-    with pytest.raises(TacgenError, match="exists already; give a new folder"):
+    with refused(TacgenError):
         export_taxim(table, Path(tmp_path / "t"))

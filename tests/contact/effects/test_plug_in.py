@@ -15,6 +15,7 @@ from tacgen.contact.law import load_law
 from tacgen.diagnose.contact.command import diagnose_log
 from tacgen.rig import RigRecipe, load_rig_recipe, simulate_session
 from tacgen.rig.rig_recipe import RigEffect
+from tests.messages import refused
 
 PACKAGE = Path(tacgen.__file__).parent
 EFFECTS = PACKAGE / "contact" / "effects"
@@ -94,6 +95,6 @@ def test_an_effect_registered_here_is_pressed_diagnosed_reported_and_simulated(
     assert volume[0] / volume[1] == pytest.approx(1.0 + share["value"], rel=1e-9)
     assert np.isfinite(volume).all()
     del base._REGISTRY[new_effect.channel, new_effect.name]
-    with pytest.raises(Exception, match="effect 'every_third_press' is unknown"):
+    with refused(Exception):
         load_law(tmp_path / "contact.yaml")
     register(new_effect)

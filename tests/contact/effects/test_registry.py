@@ -8,6 +8,7 @@ import pytest
 from tacgen.contact.effects import LoadHistory, Where, all_effects, find_effect, register
 from tacgen.contact.law import respond
 from tacgen.core.errors import ContactError
+from tests.messages import refused
 
 EFFECTS = [pytest.param(effect, id=f"{effect.channel}-{effect.name}") for effect in all_effects()]
 K = 5.0
@@ -125,12 +126,12 @@ def test_parameters_have_units_bounds_and_an_identity_within_them(effect):
 
 
 def test_a_name_is_registered_once():
-    with pytest.raises(ContactError, match="'creep' of the normal channel is registered twice"):
+    with refused(ContactError):
         register(find_effect("normal", "creep"))
 
 
 def test_an_unknown_name_lists_the_known_ones():
-    with pytest.raises(ContactError, match=r"'crep' is unknown; the normal channel has .*creep"):
+    with refused(ContactError):
         find_effect("normal", "crep")
 
 

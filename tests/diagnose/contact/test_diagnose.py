@@ -18,6 +18,7 @@ from tacgen.diagnose.contact.heldout import test_trials as trials_to_hold_out
 from tacgen.diagnose.contact.result import diagnosis_record
 from tacgen.diagnose.rules import CONTACT
 from tests.contact.effects.test_registry import press_columns
+from tests.messages import refused
 from validation.contact.cases import blank_log, make_case
 
 
@@ -224,7 +225,7 @@ def test_rows_without_shear_do_not_stop_the_shear_channel():
 def test_forces_of_the_wrong_sign_are_said_and_not_fitted():
     columns, _ = case([], n_trials=10, n_samples=40)
     turned = few_columns(columns) | {"volume_mm3": -columns["volume_mm3"]}
-    with pytest.raises(PressError, match="falls as the force grows; check the signs"):
+    with refused(PressError):
         diagnose(turned)
     against = columns | {f"shear_{axis}_mm": -columns[f"shear_{axis}_mm"] for axis in "xy"}
     diagnosis = diagnose(against)
@@ -243,7 +244,9 @@ def unloaded(columns, noise, trials, seed):
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.exhaustive) for seed in (2, 3))]
+)
 def test_a_trial_without_load_cannot_tell_the_law_of_another(seed):
     columns, noise = case([], n_trials=10, n_samples=40)
     two = {name: values[columns["trial"] < 2] for name, values in columns.items()}

@@ -9,6 +9,7 @@ from tacgen.core.errors import PressError
 from tacgen.diagnose.contact.command import diagnose
 from tacgen.presses.geometry import ball_depth_mm
 from tacgen.presses.press_log import read_press_log
+from tests.messages import refused
 
 LEVELS = (2.0, 4.0, 6.0, 8.0, 10.0)  # mm³, or times 0.2 N
 STIFF, LOST, TAU_S = 0.12, 0.12, 15.0  # N/mm³ at once less what is lost, of it, and how fast
@@ -72,9 +73,14 @@ def diagnosed(frame, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("levels", [(6.0,), (6.0, 6.0, 6.0), LEVELS])
-@pytest.mark.parametrize("ramp", [True, False])
-@pytest.mark.parametrize("by_logarithm", [True, False])
+@pytest.mark.parametrize(
+    ("levels", "ramp", "by_logarithm"),
+    [
+        ((6.0,), True, False), ((6.0,), False, True),
+        ((6.0, 6.0, 6.0), False, False), ((6.0, 6.0, 6.0), True, True),
+        (LEVELS, True, False), (LEVELS, False, True),
+    ],
+)  # fmt: skip
 def test_relaxation_at_a_held_displacement_is_creep(levels, ramp, by_logarithm, tmp_path):
     frame = log_of(relaxing, levels, ramp=ramp, by_logarithm=by_logarithm)
     log, found = diagnosed(frame, tmp_path)
@@ -93,9 +99,10 @@ def test_relaxation_at_a_held_displacement_is_creep(levels, ramp, by_logarithm, 
         assert found.after.rmse < 0.02 * found.before.rmse
 
 
-@pytest.mark.parametrize("ramp", [True, False])
-@pytest.mark.parametrize("by_logarithm", [True, False])
-@pytest.mark.parametrize("levels", [(6.0,), LEVELS])
+@pytest.mark.parametrize(
+    ("levels", "ramp", "by_logarithm"),
+    [((6.0,), True, False), ((6.0,), False, True), (LEVELS, True, True), (LEVELS, False, False)],
+)
 def test_an_elastic_gel_that_is_held_has_no_effect(levels, ramp, by_logarithm, tmp_path):
     def elastic(t, volume_mm3):
         return relaxing(t, volume_mm3, lost=0.0)
@@ -106,9 +113,10 @@ def test_an_elastic_gel_that_is_held_has_no_effect(levels, ramp, by_logarithm, t
     assert found.compliance.value == pytest.approx(1.0 / STIFF, rel=0.002)
 
 
-@pytest.mark.parametrize("noise", [0.002, 0.0])
-@pytest.mark.parametrize("levels", [(6.0,), LEVELS])
-@pytest.mark.parametrize("by_logarithm", [True, False])
+@pytest.mark.parametrize(
+    ("levels", "by_logarithm", "noise"),
+    [((6.0,), True, 0.0), ((6.0,), False, 0.002), (LEVELS, True, 0.002), (LEVELS, False, 0.0)],
+)
 def test_creep_at_a_held_force_is_creep(levels, by_logarithm, noise, tmp_path):
     # A dead weight's force is logged without noise: the same in every row.
     frame = log_of(creeping, levels, ramp=noise > 0, by_logarithm=by_logarithm, noise=noise)
@@ -126,8 +134,7 @@ def test_creep_at_a_held_force_is_creep(levels, by_logarithm, noise, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("by_logarithm", [True, False])
-@pytest.mark.parametrize("levels", [(6.0,), LEVELS])
+@pytest.mark.parametrize(("levels", "by_logarithm"), [((6.0,), True), (LEVELS, False)])
 def test_relaxation_that_no_exponential_is_is_still_no_hysteresis(levels, by_logarithm, tmp_path):
     _, found = diagnosed(log_of(powers, levels, ramp=False, by_logarithm=by_logarithm), tmp_path)
     assert found.effect_names[0] == "creep"
@@ -184,5 +191,5 @@ def test_a_gauge_that_is_stuck_in_a_press_is_no_held_load(tmp_path):
 def test_a_wrong_unit_of_holds_is_still_refused(tmp_path):
     frame = log_of(relaxing, LEVELS, ramp=False)
     frame.assign(force_normal_n=1e3 * frame["force_normal_n"]).to_csv(tmp_path / "log.csv")
-    with pytest.raises(PressError, match="--force-unit"):
+    with refused(PressError):
         read_press_log(tmp_path / "log.csv")

@@ -18,6 +18,7 @@ from tacgen.diagnose.contact.model import Model, fit_model
 from tacgen.rig import load_rig_recipe, simulate_session
 from tacgen.rig.rig_recipe import RigEffect
 from tests.contact.effects.test_registry import K, press_columns, switched_on
+from tests.messages import refused
 
 BALLS = ("ball_4mm", "ball_6mm", "flat")
 
@@ -85,23 +86,23 @@ def test_a_law_file_holds_the_part(tmp_path):
     volume, _ = law.predict(press | {"x_mm": [1.0, 2.0]}, simulate=True)
     np.testing.assert_allclose(volume, [K, 1.2 * K])
     np.testing.assert_allclose(law.predict(press, simulate=True)[0], K)
-    with pytest.raises(ContactError, match="needs the column x_mm, which the log lacks"):
+    with refused(ContactError):
         law.predict(press)
 
 
 @pytest.mark.parametrize(
-    ("where", "message"),
+    "where",
     [
-        ({"column": "x_mm"}, "x_mm needs a limit"),
-        ({"column": "x_mm", "equals": "ball"}, "x_mm needs a limit"),
-        ({"column": "x_mm", "above": 2, "up_to": 1}, "above = 2 is not below up_to = 1"),
-        ({"column": "x_mm", "up_to": float("nan")}, "needs a limit"),
-        ({"column": "indenter", "above": 2}, "indenter needs `equals`"),
-        ({"column": "indenter", "equals": "ball", "above": 2}, "indenter needs `equals`"),
+        {"column": "x_mm"},
+        {"column": "x_mm", "equals": "ball"},
+        {"column": "x_mm", "above": 2, "up_to": 1},
+        {"column": "x_mm", "up_to": float("nan")},
+        {"column": "indenter", "above": 2},
+        {"column": "indenter", "equals": "ball", "above": 2},
     ],
 )
-def test_what_is_no_part_of_a_log_is_refused(where, message):
-    with pytest.raises(ValueError, match=message):
+def test_what_is_no_part_of_a_log_is_refused(where):
+    with refused(ValueError):
         Where(**where)
 
 

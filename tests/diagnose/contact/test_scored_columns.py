@@ -41,6 +41,7 @@ def test_a_column_counts_where_the_law_was_fitted_beside_it(is_useful):
     assert errors(column)[1].rmse == errors(column)[0].rmse, "of a column alone there is no law"
 
 
+@pytest.mark.exhaustive
 @pytest.mark.slow
 def test_a_column_does_not_spoil_the_score_of_a_measured_log(measured_data):
     log, _ = align(read_press_log(measured_data / "real_logs" / "vhb_load_unload.csv"))

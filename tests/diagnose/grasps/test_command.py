@@ -16,6 +16,7 @@ from tacgen.dataset.real_grasps import read_real_grasps
 from tacgen.diagnose.grasps.command import diagnose_grasps, record_of
 from tacgen.diagnose.grasps.force_from_images import imprint_strength
 from tacgen.diagnose.grasps.report import write_grasp_report
+from tests.messages import refused
 from tests.small_world import SHORT_LIFT
 
 BOX = "sugar_box"
@@ -73,43 +74,34 @@ def test_a_shifted_centre_of_mass_is_found_written_and_reported(shifted_folder, 
     proposed = pd.read_csv(tmp_path / "next_grasps.csv")
     made = {(g.config.force_n, g.config.y_mm, g.config.z_mm) for g in real.grasps}
     assert not made & set(zip(proposed.force_n, proposed.y_mm, proposed.z_mm, strict=True))
-    # All that was simulated is kept: a second run gives the same file.
-    first = (tmp_path / "diagnosis.json").read_bytes()
-    diagnose_grasps(RECIPE, real, tmp_path, workers=1)
-    assert (tmp_path / "diagnosis.json").read_bytes() == first
 
 
 @pytest.mark.parametrize(
-    ("rows", "words"),
+    "rows",
     [
-        ([f"a,{BOX},5,0,0,87,2"], "neither 1 (success) nor 0 (failure)"),
-        (["a,no_such_thing,5,0,0,87,1"], "'no_such_thing' (1 row) is not an object here"),
-        ([f"a,{BOX},5,0,0,87,1", f"a,{BOX},6,0,0,87,1"], "stands on line 2 already"),
-        ([f"a,{BOX},x,0,0,87,1"], "is no number"),
+        [f"a,{BOX},5,0,0,87,2"],
+        ["a,no_such_thing,5,0,0,87,1"],
+        [f"a,{BOX},5,0,0,87,1", f"a,{BOX},6,0,0,87,1"],
+        [f"a,{BOX},x,0,0,87,1"],
     ],
 )
-def test_bad_rows_end_with_exit_2_and_their_line(rows, words, tmp_path):
+def test_bad_rows_end_with_exit_2_and_their_line(rows, tmp_path):
     folder = write_grasps(tmp_path / "real", rows)
     (tmp_path / "r.yaml").write_text(f"name: r\nobjects: [{BOX}]\n")
     for command in (
         ["diagnose", "grasps", str(folder), "--recipe", str(tmp_path / "r.yaml")],
         ["friction", str(tmp_path / "r.yaml"), "--real", str(folder)],
     ):
-        with pytest.raises(DatasetError) as raised:
+        with refused(DatasetError) as raised:
             CliRunner().invoke(
                 app, [*command, "--out", str(tmp_path / "out")], catch_exceptions=False
             )
-        assert words in str(raised.value)
-        assert "grasps.csv:" in str(raised.value)
         assert raised.value.exit_code == 2
 
 
 def test_a_force_that_the_gripper_cannot_give_is_named(tmp_path):
     real = read_real_grasps(write_grasps(tmp_path / "real", [f"a,{BOX},55,0,0,87,1"]))
-    with pytest.raises(
-        DatasetError,
-        match=r"grasp 'a': force_n = 55 exceeds robot.max_force_n = 40; lower it or raise",
-    ):
+    with refused(DatasetError):
         diagnose_grasps(RECIPE, real, tmp_path / "out", workers=1)
 
 
@@ -124,8 +116,13 @@ def test_three_grasps_that_contradict_each_other_still_get_a_verdict(tmp_path):
     assert "1 of 3 grasps cannot be executed" in notes
     assert "'c': " in notes
     assert findings.diagnosis.verdict in ("sufficient", "unexplained")
-    record = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
-    assert record["notes"]
+    assert json.loads((tmp_path / "out" / "diagnosis.json").read_text())["notes"]
+    # All that was simulated is kept: a second run simulates nothing and gives the same file.
+    files = [tmp_path / "out" / "diagnosis.json", *(tmp_path / "out").rglob("outcomes.jsonl")]
+    before = [path.read_bytes() for path in files]
+    assert len(before) == 2
+    diagnose_grasps(RECIPE, real, tmp_path / "out", workers=1)
+    assert [path.read_bytes() for path in files] == before
 
 
 def test_the_strength_of_an_imprint_grows_and_does_not_follow_the_gain():

@@ -61,7 +61,7 @@ def test_clean_presses_need_no_effect(kind):
 @pytest.mark.parametrize(
     ("kind", "effect"),
     [
-        ("three", "press_center"),
+        pytest.param("three", "press_center", marks=pytest.mark.exhaustive),
         pytest.param("three", "scale", marks=pytest.mark.exhaustive),
         pytest.param("four", "illumination", marks=pytest.mark.exhaustive),
         pytest.param("three", "shadow", marks=pytest.mark.exhaustive),
@@ -86,7 +86,11 @@ def test_an_effect_by_another_formula_is_named_and_lowers_the_heldout_error(kind
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("effect", "covariate"), [("ageing", "image_number"), ("scratch", "place_on_gel")]
+    ("effect", "covariate"),
+    [
+        pytest.param("ageing", "image_number", marks=pytest.mark.exhaustive),
+        ("scratch", "place_on_gel"),
+    ],
 )
 def test_what_is_on_no_list_is_unexplained_and_says_what_it_follows(effect, covariate):
     diagnosis = diagnose_optics(presses("three", effect, count=24), table_of_before("three"))
@@ -133,6 +137,11 @@ def test_without_a_table_only_what_one_cannot_express_is_found():
     found = diagnose_optics(presses("three", "background_gain"))
     assert names(found) == ["background_gain"]
     assert "cross_talk" in " ".join(found.cannot_tell)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.slow
+def test_without_a_table_lamps_near_the_gel_need_no_effect():
     near_lit = diagnose_optics(virtual_presses(0, count=16))
     assert near_lit.verdict == "sufficient"
     assert names(near_lit) == []
@@ -153,7 +162,7 @@ def test_the_extended_table_renders_the_effect():
 
 @pytest.mark.slow
 def test_the_json_has_the_contracts_fields():
-    diagnosis = diagnosed("four")
+    diagnosis = diagnosed("three")
     content = json.loads(json.dumps(diagnosis.as_dict()))
     channel = content["channels"]["rgb"]
     assert content["schema"] == 1
