@@ -1,5 +1,6 @@
 """The skirt around a contact that a diagnosis finds is the one that a sensor draws."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from tacgen.optics.deform import Deformer
 from tacgen.optics.effects.skirt import SKIRT_RADII, SLOPES
 from tacgen.optics.table import load_table, save_table
 from tacgen.presses.geometry import Membrane, PressedGel
+from tacgen.sensor.read_image import ImageReader
 from tacgen.sensor.simulated import Sensor
 
 MM_PER_PX = 0.05
@@ -91,3 +93,11 @@ def test_an_extended_table_carries_the_width_of_the_skirt_that_was_found(factor)
     )
     width = fitted_width(PressedGel(press["contact_radius_mm"], 2.5, membrane))
     assert extended.effects == {"skirt": {"width": width}}
+
+
+def test_a_reader_says_that_it_does_not_undo_a_tables_effects(tmp_path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        ImageReader("gelsight_mini")
+    with pytest.warns(UserWarning, match=r"\(skirt\) are drawn, but not taken out .* known depth"):
+        ImageReader(Sensor("gelsight_mini", with_skirt(tmp_path, 3.0)))
