@@ -27,6 +27,7 @@ from tacgen.optics import shade
 from tacgen.optics.deform import FINAL_SIGMA_MM, FIRM_CONTACT, NEGLIGIBLE_MM, PYRAMID_SIGMA_MM
 from tacgen.optics.effects import with_cast_shadows
 from tacgen.optics.effects.shadow import PENUMBRA_MM, SHADOW
+from tacgen.optics.effects.skirt import SKIRT, skirt_width
 from tacgen.optics.image_models import Quadratic, Response
 from tacgen.optics.markers import INK_TRANSMISSION
 from tacgen.optics.noise import CameraNoise
@@ -65,9 +66,11 @@ def find_device(device: Any) -> wp.Device:
 
 def undrawable(table: LookupTable) -> str:
     """Why pictures of a sensor cannot be drawn in Warp; empty if they can."""
-    others, model = [name for name in table.effects if name != SHADOW.name], table.image_model
+    drawn, model = (SHADOW.name, SKIRT.name), table.image_model
+    others = [name for name in table.effects if name not in drawn]
     if others:
-        return f"a GPU draws no optical effect but shadows; the table has {', '.join(others)}"
+        named = ", ".join(others)
+        return f"a GPU draws no optical effect but shadows and skirts; the table has {named}"
     if table.effects.get(SHADOW.name, {}).get("lamp_distance_mm"):
         return "a GPU draws shadows of lamps far away alone; the table has near ones"
     if not isinstance(model, Quadratic | Response):
@@ -110,7 +113,7 @@ class WarpWorlds:
             self.worlds.grey = self._zeros((n, self.height, self.width, 3), wp.float32)
         self._prepare_optics(table, table.noise_grey if seed is not None else 0.0, shadows=shadows)
         self._prepare_solve()
-        self._prepare_pyramid()
+        self._prepare_pyramid(skirt_width(table.effects))
         if markers and sensor.markers is not None:
             self._prepare_markers(sensor.markers)
 
@@ -237,10 +240,10 @@ class WarpWorlds:
         p.markers_mm = self._zeros((self.n, len(places_mm), 2), wp.float32)
         p.sheared_mm = self._zeros((self.n, len(places_mm), 2), wp.float32)
 
-    def _prepare_pyramid(self) -> None:
+    def _prepare_pyramid(self, width: float) -> None:
         """The kernel and halvings of every Gaussian, and memory for the levels, two maps each."""
         self._stages = []
-        for sigma_mm in (*PYRAMID_SIGMA_MM, FINAL_SIGMA_MM):
+        for sigma_mm in (*(width * sigma for sigma in PYRAMID_SIGMA_MM), FINAL_SIGMA_MM):
             blur = Gaussian(sigma_mm / self._sensor.mm_per_px)
             self._stages.append((self._put(blur.kernel, wp.float32), blur.factor.bit_length() - 1))
         shape, self._levels = self._sensor.shape_px, list[tuple[wp.array, wp.array]]()

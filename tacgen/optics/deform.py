@@ -72,16 +72,20 @@ def _clear_negligible(surface: NDArray[Any], least_mm: float) -> tuple[int, int,
 
 
 class Deformer:
-    """Turns the indentation under an object into the deformation of the whole gel."""
+    """Turns the indentation under an object into the deformation of the whole gel.
+
+    The skirt around a contact is ``width`` times as wide as Taxim's.
+    """
 
     reach_px: int
     """Pixels around a contact that it can deform by more than ``NEGLIGIBLE_MM``."""
 
-    def __init__(self, mm_per_px: float) -> None:
-        self._pyramid = [Gaussian(sigma / mm_per_px) for sigma in PYRAMID_SIGMA_MM]
+    def __init__(self, mm_per_px: float, width: float = 1.0) -> None:
+        pyramid_mm = [width * sigma for sigma in PYRAMID_SIGMA_MM]
+        self._pyramid = [Gaussian(sigma / mm_per_px) for sigma in pyramid_mm]
         self._final = Gaussian(FINAL_SIGMA_MM / mm_per_px)
         reaches_px = [blur.reach_px for blur in (*self._pyramid, self._final)]
-        sigma_px = math.hypot(*PYRAMID_SIGMA_MM, FINAL_SIGMA_MM) / mm_per_px
+        sigma_px = math.hypot(*pyramid_mm, FINAL_SIGMA_MM) / mm_per_px
         self.reach_px = min(sum(reaches_px), math.ceil(REACH_SIGMAS * sigma_px))
         # Kept: new pages would cost as much as a blur.
         self._memory = np.empty(0, dtype=np.float32)

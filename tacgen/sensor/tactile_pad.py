@@ -17,6 +17,7 @@ from tacgen.core.records import Mesh, Sensor
 from tacgen.core.sensors import no_markers
 from tacgen.core.types import FloatArray, Window
 from tacgen.optics.deform import Deformer
+from tacgen.optics.effects.skirt import skirt_width
 from tacgen.optics.render import Renderer
 from tacgen.optics.table import LookupTable, load_table
 from tacgen.optics.visible import VISIBLE, visible_share
@@ -82,7 +83,7 @@ class TactilePad:
         self.sensor = sensor
         self.table = table
         self.indenter = Indenter(sensor, camera)
-        self._deformer = Deformer(sensor.mm_per_px)
+        self._deformer = Deformer(sensor.mm_per_px, skirt_width(table.effects))
         self._renderer = Renderer(
             table,
             gel_map_mm(sensor),

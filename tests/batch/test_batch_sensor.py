@@ -458,7 +458,7 @@ def test_other_effects_are_drawn_by_the_cpu_alone(tmp_path):
     name = small_sensor(tmp_path, (60, 80), 0.1, effects={"vignetting": {"strength": 0.2}})
     assert compare(name, [BALL], [(0, np.eye(4), 1.0)]).most_grey == 0
     pytest.importorskip("warp")
-    with pytest.raises(TableError, match="draws no optical effect but shadows; .* has vignetting"):
+    with pytest.raises(TableError, match="no optical effect but shadows and skirts; .* vignetting"):
         make_batch(name=name, device="warp:cpu")
 
 

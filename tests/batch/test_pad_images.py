@@ -1,5 +1,7 @@
 """Images that ``collect`` has drawn on a device: those of the pad, and what a dataset says."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -32,13 +34,16 @@ def imprints_of(pad):
     return [*found, found[-1], Imprint()]
 
 
-@pytest.mark.parametrize("drawn", [{}, {"shadows": True, "markers": True}])
-def test_images_are_those_of_the_pad(drawn):
+@pytest.mark.parametrize(
+    ("drawn", "effects"),
+    [({}, {}), ({"shadows": True, "markers": True}, {}), ({}, {"skirt": {"width": 3.0}})],
+)
+def test_images_are_those_of_the_pad(drawn, effects):
     pytest.importorskip("warp")
     from tacgen.batch.pad_images import PadImages
 
     sensor = load_sensor("gelsight_mini")
-    pad = TactilePad(sensor, load_table(sensor.table), **drawn)
+    pad = TactilePad(sensor, replace(load_table(sensor.table), effects=effects), **drawn)
     imprints = imprints_of(pad)
     on_device = PadImages(pad, 4, "warp:cpu")  # in two batches
     for seed in (None, 5):

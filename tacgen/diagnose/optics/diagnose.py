@@ -16,6 +16,7 @@ from tacgen.core.types import FloatArray
 from tacgen.diagnose import record
 from tacgen.diagnose.evidence import Dependence, gain_interval_95
 from tacgen.diagnose.optics.fit import Known, Model, PressFit, typical
+from tacgen.diagnose.optics.gel_skirt import fitted_width
 from tacgen.diagnose.optics.rendering import views_of
 from tacgen.diagnose.optics.residuals import PRESS, dependences
 from tacgen.diagnose.optics.selection import Scored, Selection, log_gain, select
@@ -29,8 +30,10 @@ from tacgen.optics.effects import (
     optical_effect,
     optical_effects,
 )
+from tacgen.optics.effects.skirt import SKIRT, SLOPES
 from tacgen.optics.table import LookupTable
 from tacgen.presses.experiments import ranked
+from tacgen.presses.geometry import PressedGel
 from tacgen.presses.press_images import PressImages, label_mm
 
 
@@ -272,7 +275,7 @@ def _effects_of(table: LookupTable) -> dict[str, dict[str, float]]:
     factors = table.provenance.get("press_model", {}).get("slope_factors") or ()
     known = {name: dict(values) for name, values in table.effects.items()}
     for effect in optical_effects(Stage.GEL, Stage.GEL) if factors else ():
-        pairs = zip(effect.parameters, factors, strict=True)
+        pairs = zip(SLOPES, factors, strict=True)
         known[effect.name] = {name: float(factor) for name, (_, factor) in pairs}
     return known
 
@@ -379,8 +382,9 @@ def _extended(
     """The table with the effects that were found, which the renderer applies.
 
     What belongs to the presses (labels, the scatter of exposures) stays out; the camera's noise is
-    theirs. A gel of another shape beside a contact goes into how a press is drawn, and what the
-    labels ``labels_mm`` (N, 3) say of a place is learnt with it anew.
+    theirs. A gel of another shape beside a contact goes into how a press is drawn and how wide the
+    skirt around any object is, and what the labels ``labels_mm`` (N, 3) say of a place is learnt
+    with it anew.
     """
     rendered = {effect.name for effect in optical_effects(Stage.SURFACE)}
     effects = {name: v for name, v in found.effects().items() if name in rendered}
@@ -393,6 +397,9 @@ def _extended(
     if shapes and "press_model" in provenance:
         drawn = PressModel.from_dict(provenance["press_model"])
         membrane = replace(drawn.membrane, slope_factors=shapes[0])
+        contact_mm, ball_mm = drawn.labels.contact_radius_mm, provenance["ball_radius_mm"]
+        pressed = PressedGel(contact_mm, float(np.mean(ball_mm)), membrane)
+        effects[SKIRT.name] = {"width": fitted_width(pressed)}
         drawn = replace(drawn, membrane=membrane, labels=learn_labels(labels_mm, found.places))
         provenance["press_model"] = drawn.as_dict()
     return replace(

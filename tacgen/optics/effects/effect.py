@@ -29,7 +29,7 @@ class Stage(IntEnum):
     PRESS = 0
     """On where a ball is and how large: of presses alone, nothing that the renderer applies."""
     GEL = 1
-    """On the gel's shape beside a press: of presses alone, too."""
+    """On the gel's shape beside a contact: before the renderer, by the pad."""
     SURFACE = 2
     """On the height map, before the look-up."""
     SHADOW = 3
@@ -169,7 +169,7 @@ class OpticalEffect:
         What ``diagnosis.json`` calls it, where it shares the name of another.
     stage : Stage
     parameters : mapping
-        Name → ``Parameter``; those before stage ``SURFACE`` are never written into a table.
+        Name → ``Parameter``; those of stage ``PRESS`` are never written into a table.
     """
 
     name: ClassVar[str]
@@ -268,7 +268,7 @@ def check_effects(effects: Mapping[str, Mapping[str, float]]) -> None:
         problems += [
             f"effect {name!r} has no parameter {parameter!r}; it has {', '.join(effect.parameters)}"
             for parameter in parameters
-            if parameter not in effect.parameters and effect.stage > Stage.GEL
+            if parameter not in effect.parameters and effect.stage > Stage.PRESS
         ]
     TableError.raise_if(problems)
 
