@@ -21,7 +21,8 @@ from tacgen.presses.geometry import cap_volume_from_circle_mm3
 from tacgen.presses.press_folder import COORDINATES, STAGE, PressFolder
 from tacgen.presses.rules import IMAGES
 from tacgen.sensor.read_image import ImageReader
-from tacgen.sensor.recordings import Recording, readings_of
+from tacgen.sensor.recorded import Recording
+from tacgen.sensor.recordings import readings_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from tacgen.core.errors import SensorError, require_extra
 from tacgen.core.images import encode_png
 from tacgen.core.safe_io import decode_rgb
-from tacgen.sensor.recordings import Recorded, Recording, Wrench
+from tacgen.sensor.recorded import Recorded, Recording, Wrench
 
 REFUSED = {".bag": "a bag of ROS 1", ".zstd": "a bag packed as a whole"}
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"

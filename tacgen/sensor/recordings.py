@@ -6,7 +6,6 @@ import signal
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from types import FrameType
@@ -21,9 +20,10 @@ from tacgen.core.errors import SensorError, TableError, require_extra
 from tacgen.core.files import atomic_path
 from tacgen.core.progress import print_status
 from tacgen.core.safe_io import IMAGE_SUFFIXES, read_rgb
-from tacgen.core.types import FloatArray
 from tacgen.report.figures import new_figure, thinned
+from tacgen.sensor.bags import open_bag
 from tacgen.sensor.read_image import ImageReader
+from tacgen.sensor.recorded import Recorded, Recording
 
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mov", ".mkv")
 BAG_SUFFIXES = (".mcap", ".db3", ".bag", ".zstd")
@@ -32,78 +32,8 @@ MOST_MISSING = 0.02
 at the end; a video that was cut lacks more."""
 REST_PICTURES = 10
 """Whose median is the gel at rest: less than half a second, and a third of one's noise."""
-LAGS_S = np.arange(-200, 201) * 0.005
-"""What is tried: drivers on one machine, or on machines kept by NTP, are less than 1 s apart."""
-LEAST_FOR_LAG, LEAST_EXPLAINED = 20, 0.5
-"""Pictures, and the share of their forces' squares that the gauge explains, that show a lag: by
-chance its three axes explain 0.15 of 20 pictures."""
 WRENCH_COLUMNS = ("wrench_x_n", "wrench_y_n", "wrench_z_n")
 """The gauge's force at a picture's time, in the gauge's axes."""
-
-
-@dataclass(frozen=True, slots=True)
-class Recorded:
-    """A picture of a recording: its name, its time, s (NaN where unknown), and RGB (H, W, 3)."""
-
-    name: str
-    time_s: float
-    rgb: NDArray[np.uint8]
-
-
-@dataclass(frozen=True, slots=True)
-class Wrench:
-    """Forces (n, 3), N, of a topic in the gauge's own axes, at times (n,), s, that never fall."""
-
-    topic: str
-    time_s: FloatArray
-    force_n: FloatArray
-    most_gap_s: float
-
-    def at(self, time_s: FloatArray) -> FloatArray:
-        """Forces (..., 3) between the two beside each time; NaN outside, and in longer gaps."""
-        after = np.clip(np.searchsorted(self.time_s, time_s), 1, len(self.time_s) - 1)
-        start, end = self.time_s[after - 1], self.time_s[after]
-        share = (time_s - start) / np.maximum(end - start, 1e-9)
-        is_known = (share >= 0.0) & (share <= 1.0) & (end - start <= self.most_gap_s)
-        before = self.force_n[after - 1]
-        between = before + share[..., None] * (self.force_n[after] - before)
-        return np.where(is_known[..., None], between, np.nan)
-
-    def lag_s(self, time_s: FloatArray, force_n: FloatArray) -> float:
-        """How much later than the pictures (N,) its times are, s; NaN where that does not show.
-
-        That is where its three axes together explain most of the ``force_n`` (N,) that was read.
-        """
-        known = np.isfinite(force_n)
-        time_s, force_n = time_s[known], force_n[known]
-        explained = np.zeros(len(LAGS_S))
-        for k, lag_s in enumerate(LAGS_S):
-            felt = self.at(time_s + lag_s)
-            both = np.isfinite(felt).all(axis=1)
-            if both.sum() >= max(LEAST_FOR_LAG, len(time_s) / 2):
-                of, seen = np.column_stack([felt[both], np.ones(both.sum())]), force_n[both]
-                rest = seen - of @ np.linalg.lstsq(of, seen, rcond=None)[0]
-                explained[k] = 1.0 - rest.var() / max(float(seen.var()), 1e-12)
-        best = int(explained.argmax())
-        is_seen = explained[best] >= LEAST_EXPLAINED and 0 < best < len(LAGS_S) - 1
-        return float(LAGS_S[best]) if is_seen else math.nan
-
-
-@dataclass(frozen=True, slots=True)
-class Recording:
-    """A recording, open: ``pictures`` come one by one, ``stated`` of them, 0 where unknown.
-
-    ``background_rgb`` (H, W, 3) is the gel at rest and ``wrench`` the forces of a gauge, where it
-    has them; ``notes`` are what the user should know. The pictures end in ``SensorError`` where it
-    is broken or cut.
-    """
-
-    name: str
-    stated: int
-    pictures: Generator[Recorded]
-    background_rgb: NDArray[np.uint8] | None = None
-    wrench: Wrench | None = None
-    notes: tuple[str, ...] = ()
 
 
 Watch: TypeAlias = Callable[[Recorded, NDArray[np.float32], dict[str, Any]], None]
@@ -131,8 +61,6 @@ def open_recording(path: Path, topics: Sequence[str] = ()) -> Recording:
         msg = f"{path}: no such file; give a folder of images, a video or a bag"
         raise SensorError(msg)
     if files := bag_files(path):
-        from tacgen.sensor.bags import open_bag
-
         return open_bag(path, files, topics)
     if topics:
         msg = f"{path}: --topic {topics[0]}: only a bag has topics"

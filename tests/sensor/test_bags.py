@@ -20,7 +20,8 @@ from tacgen.core.errors import PressError, SensorError
 from tacgen.sensor import recordings
 from tacgen.sensor.bags import BACKGROUND, kept
 from tacgen.sensor.read_image import ImageReader
-from tacgen.sensor.recordings import Wrench, open_camera, open_recording, read_recording
+from tacgen.sensor.recorded import Wrench
+from tacgen.sensor.recordings import open_camera, open_recording, read_recording
 
 rosbag2 = pytest.importorskip("rosbags.rosbag2")
 typesys = pytest.importorskip("rosbags.typesys")
