@@ -331,7 +331,7 @@ def read(
     from tacgen.core.progress import progress_counter
     from tacgen.core.safe_io import read_rgb
     from tacgen.sensor import recordings
-    from tacgen.sensor.bags import kept
+    from tacgen.sensor.bags import check_new_mcap, kept
     from tacgen.sensor.read_image import ImageReader, read_files, reading_line, sensor_of
 
     images = images or []
@@ -341,6 +341,8 @@ def read(
     at_rest = None if background is None else read_rgb(background)
     known = sensor_of(sensor, table, contact)
     recording = None
+    if record is not None:  # before the camera takes its background
+        check_new_mcap(record)
     if camera is not None:
         recording = recordings.open_camera(camera, at_rest)
     elif any(map(recordings.is_recording, images)):

@@ -166,7 +166,7 @@ class LogTable:
 
     path: Path
     frame: pd.DataFrame  # every column, known ones by their names; numbers, or text of all cells
-    found: Mapping[str, Column]  # the known columns as they stand in the file
+    columns: Mapping[str, Column]  # of a press log, as the file has them
     problems: tuple[str, ...]  # cells that are no numbers
     notes: tuple[str, ...]
     unclear: tuple[str, ...]  # columns that are not read, and why
@@ -183,9 +183,9 @@ class LogTable:
         first = next(name for name in names if not set(name.split(" or ")) & {*self.frame})
         found = [
             name if column.header == name else f"{name} (as {column.header!r})"
-            for name, column in self.found.items()
+            for name, column in self.columns.items()
         ]
-        others = [repr(name) for name in self.frame if name not in self.found]
+        others = [repr(name) for name in self.frame if name not in self.columns]
         lines += self.unclear
         lines += [
             f"{self.path}: {by} part its rows into {number[-1] + 1} blocks; if each is a press, "
@@ -277,7 +277,7 @@ def read_log_table(path: Path, log_format: LogFormat) -> LogTable:
     return LogTable(
         path=path,
         frame=frame,
-        found=found,
+        columns=found,
         problems=tuple(problems),
         notes=(*table.notes, *(f"{path}: {note}" for note in (*notes, *below))),
         unclear=tuple(unclear),

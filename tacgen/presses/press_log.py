@@ -183,7 +183,7 @@ def press_log_of(table: LogTable, *, radius_mm: float | None = None) -> PressLog
         for name, values in frame.items()
     }
     notes = [*table.notes, *table.unclear, *spikes, *([f"{path}: {moved}"] if moved else [])]
-    if "time_s" in table.found:
+    if "time_s" in table.columns:
         notes += _check_clock_unit(table, columns)
     of_depths, rows = "volume_mm3" not in columns, frame.index.to_numpy()
     if of_depths:
@@ -204,7 +204,7 @@ def press_log_of(table: LogTable, *, radius_mm: float | None = None) -> PressLog
     if not is_known:
         kept = {name: values for name, values in log.columns.items() if name != "volume_mm3"}
         log = replace(log, columns=MappingProxyType(kept))
-    clock = log.session_clock and "time_s" in table.found
+    clock = log.session_clock and "time_s" in table.columns
     return replace(log, warnings=tuple(notes), session_clock=clock)
 
 
@@ -405,7 +405,7 @@ def value_problems(table: LogTable) -> list[str]:
                 "the sign: --flip force"
             )
     peak = float(np.nanmax(np.abs(values))) if known.any() else 0.0
-    if response == "depth_mm" and not table.found[response].is_given and known.any():
+    if response == "depth_mm" and not table.columns[response].is_given and known.any():
         least, most = LOG.plausible_depths_mm
         unit = "m" if 0 < peak < least else "um" if peak > most else ""
         if unit:
@@ -424,7 +424,7 @@ def _correlation(one: FloatArray, other: FloatArray) -> float:
 
 
 def _true_unit(table: LogTable, name: str, unit: str) -> str:
-    header = split_header(table.found[name].header)[0]
+    header = split_header(table.columns[name].header)[0]
     return f'say which it is: --column {name}="{header} [{unit}]" (or another unit)'
 
 
@@ -432,7 +432,7 @@ def _check_clock_unit(table: LogTable, columns: Columns) -> list[str]:
     """A warning where a clock is odd for seconds; raises where it can be no clock in seconds."""
     time_s, blocks = columns["time_s"], _trial_blocks(columns["trial"])
     spans = [float(np.ptp(time_s[b])) for b in blocks if np.isfinite(time_s[b]).all()]
-    if not spans or table.found["time_s"].is_given:
+    if not spans or table.columns["time_s"].is_given:
         return []
     span, start = float(np.median(spans)), float(np.nanmin(time_s))
     steps = np.diff(time_s)
@@ -572,7 +572,7 @@ def compliance_doubts(compliance: float, peak: float, table: LogTable) -> list[s
     is_gel = is_unknown or least <= compliance <= most
     is_too_large = peak > LOG.max_plausible_force_n
     is_usual = is_unknown or low <= compliance <= high
-    if table.found["force_normal_n"].is_given or (is_gel and is_usual and not is_too_large):
+    if table.columns["force_normal_n"].is_given or (is_gel and is_usual and not is_too_large):
         return []
     others = _other_units(compliance, peak, table)
     said = f"{table.path}: force_normal_n reaches {peak:.4g} (median over presses)"
@@ -602,11 +602,11 @@ def _other_units(compliance: float, peak: float, table: LogTable) -> list[tuple[
     for unit, newtons in FORCE_UNITS_N.items():
         if unit != "n" and peak * newtons <= LOG.max_plausible_force_n:
             found.append((compliance / newtons, f"--force-unit {unit} ({UNIT_WORDS[unit]}"))
-    gauge = split_header(table.found["force_normal_n"].header)[0]
+    gauge = split_header(table.columns["force_normal_n"].header)[0]
     found.append((compliance / 1e3, f'--column force_normal_n="{gauge} [kN]" (kilonewtons'))
     name = "volume_mm3" if "volume_mm3" in table.frame else "depth_mm"
     power = 1 if name == "volume_mm3" else 2  # of a ball's volume that grows with its depth
-    column = table.found[name]
+    column = table.columns[name]
     for unit in OTHER_UNITS[name] if not column.unit else ():
         option = f'--column {name}="{column.header} [{unit}]" ({unit}'
         found.append((compliance * units_of(name)[unit] ** power, option))

@@ -53,7 +53,7 @@ def open_bag(path: Path, files: Sequence[Path], topics: Sequence[str]) -> Record
     Raises ``SensorError``, which lists the topics, if one is not there, several could be meant, or
     none holds pictures; or if nothing can be read.
     """
-    suffixes = {file.suffix for file in files}
+    suffixes = {file.suffix.lower() for file in files}
     for suffix in suffixes & {*REFUSED}:
         way = "pip install rosbags; rosbags-convert --src BAG --dst NEW_FOLDER"
         msg = f"{path}: {REFUSED[suffix]}; convert it: `{way}`"
@@ -73,8 +73,10 @@ def open_bag(path: Path, files: Sequence[Path], topics: Sequence[str]) -> Record
     except SensorError as error:
         cut = f"; {error}"
     listed = ", ".join(sorted(f"{name} ({types[name]}, {len(rows[name])})" for name in types))
-    seen, felt = _chosen(types, topics, f"{path}: {{}}; it has {listed or 'no messages'}{cut}")
-    names = [name for name in (seen, felt) if name]
+    image_topic, wrench_topic = _chosen(
+        types, topics, f"{path}: {{}}; it has {listed or 'no messages'}{cut}"
+    )
+    names = [name for name in (image_topic, wrench_topic) if name]
     logs, stamps = zip(
         *(np.array([row[:2] for row in rows[name]]).T for name in names), strict=True
     )
@@ -82,22 +84,24 @@ def open_bag(path: Path, files: Sequence[Path], topics: Sequence[str]) -> Record
     is_stamped = min(starts) > 0 and max(starts) <= min(ends)
     times_s, forces_s = [*(stamps if is_stamped else logs), np.zeros(0)][:2]
     background = None
-    if seen == PICTURE and BACKGROUND in types:
+    if image_topic == PICTURE and BACKGROUND in types:
         with closing(_pictures(files, BACKGROUND)) as first:
             background = next(first, None)
     pictures = (
         Recorded(f"{path.stem}_{number:06d}", time_s, rgb)
-        for number, (rgb, time_s) in enumerate(zip(_pictures(files, seen), times_s, strict=False))
+        for number, (rgb, time_s) in enumerate(
+            zip(_pictures(files, image_topic), times_s, strict=False)
+        )
     )
     wrench = None
     if len(forces_s) > 1:
         order = np.argsort(forces_s, kind="stable")
-        forces_s, force_n = forces_s[order], np.array(rows[felt])[order, 2:]
+        forces_s, force_n = forces_s[order], np.array(rows[wrench_topic])[order, 2:]
         gap_s = MOST_GAP * float(np.median(np.diff(forces_s)))
-        wrench = Wrench(felt, forces_s, force_n, gap_s)
+        wrench = Wrench(wrench_topic, forces_s, force_n, gap_s)
     note = f"{path}: the headers of {' and '.join(names)} hold no common time: times are the log's"
     notes = () if is_stamped else (note,)
-    return Recording(f"{path}: {seen}", len(times_s), pictures, background, wrench, notes)
+    return Recording(f"{path}: {image_topic}", len(times_s), pictures, background, wrench, notes)
 
 
 def _chosen(types: dict[str, str], topics: Sequence[str], msg: str) -> tuple[str, str]:
@@ -128,7 +132,7 @@ def _messages(files: Sequence[Path]) -> Iterator[tuple[str, str, int, bytes]]:
     """Topic, type, time of the log, ns, and bytes of each message."""
     for file in files:
         try:
-            of_kind = _mcap_messages if file.suffix == ".mcap" else _sqlite_messages
+            of_kind = _mcap_messages if file.suffix.lower() == ".mcap" else _sqlite_messages
             for name, kind, log_ns, data in of_kind(file):
                 is_packed = data[:4] == ZSTD_MAGIC
                 raw = zstandard.ZstdDecompressor().decompress(data) if is_packed else data
@@ -211,15 +215,20 @@ def _picture(kind: str, data: bytes, where: str, topic: str) -> NDArray[np.uint8
     return np.ascontiguousarray(pixels[..., CHANNELS[encoding]])
 
 
-def kept(recording: Recording, path: Path, background_rgb: NDArray[np.uint8]) -> Recording:
-    """The recording of a camera, which is written, lossless, into an MCAP file as it is read.
-
-    Raises ``SensorError`` if the extra is missing or ``path`` is no new file that ends in .mcap.
-    """
+def check_new_mcap(path: Path) -> None:
+    """Raises ``SensorError`` if the extra is missing, or ``path`` is no new file of .mcap."""
     require_extra("mcap", "--record needs", SensorError)
     if path.suffix != ".mcap" or path.exists():
         msg = f"--record {path}: give the name of a new file that ends in .mcap"
         raise SensorError(msg)
+
+
+def kept(recording: Recording, path: Path, background_rgb: NDArray[np.uint8]) -> Recording:
+    """The recording of a camera, which is written, lossless, into an MCAP file as it is read.
+
+    Raises ``SensorError`` as :func:`check_new_mcap`.
+    """
+    check_new_mcap(path)
     at_rest = Recorded("", time.time(), background_rgb)
     return replace(recording, pictures=_written(path, at_rest, recording.pictures))
 

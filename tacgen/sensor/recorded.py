@@ -49,16 +49,17 @@ class Wrench:
 
         That is where its three axes together explain most of the ``force_n`` (N,) that was read.
         """
-        known = np.isfinite(force_n)
-        time_s, force_n = time_s[known], force_n[known]
+        is_read = np.isfinite(force_n)
+        time_s, force_n = time_s[is_read], force_n[is_read]
         explained = np.zeros(len(LAGS_S))
         for k, lag_s in enumerate(LAGS_S):
-            felt = self.at(time_s + lag_s)
-            both = np.isfinite(felt).all(axis=1)
-            if both.sum() >= max(LEAST_FOR_LAG, len(time_s) / 2):
-                of, seen = np.column_stack([felt[both], np.ones(both.sum())]), force_n[both]
-                rest = seen - of @ np.linalg.lstsq(of, seen, rcond=None)[0]
-                explained[k] = 1.0 - rest.var() / max(float(seen.var()), 1e-12)
+            gauge_n = self.at(time_s + lag_s)
+            known = np.isfinite(gauge_n).all(axis=1)
+            if known.sum() >= max(LEAST_FOR_LAG, len(time_s) / 2):
+                axes = np.column_stack([gauge_n, np.ones(len(gauge_n))])[known]
+                read_n = force_n[known]
+                residual_n = read_n - axes @ np.linalg.lstsq(axes, read_n, rcond=None)[0]
+                explained[k] = 1.0 - residual_n.var() / max(float(read_n.var()), 1e-12)
         best = int(explained.argmax())
         is_seen = explained[best] >= LEAST_EXPLAINED and 0 < best < len(LAGS_S) - 1
         return float(LAGS_S[best]) if is_seen else math.nan

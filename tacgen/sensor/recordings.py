@@ -48,7 +48,7 @@ def is_recording(path: Path) -> bool:
 def bag_files(path: Path) -> list[Path]:
     """The files of a bag, which may be a folder, in the order of their numbers; none of another."""
     files = [*path.iterdir()] if path.is_dir() else [path]
-    bags = (file for file in files if file.suffix in BAG_SUFFIXES)
+    bags = (file for file in files if file.suffix.lower() in BAG_SUFFIXES)
     return sorted(bags, key=lambda file: (len(file.name), file.name))
 
 

@@ -353,6 +353,9 @@ def test_a_camera_is_read_and_kept_and_its_file_reads_the_same(press, tmp_path):
     assert cv2.imdecode(message.data, cv2.IMREAD_COLOR).shape == (240, 320, 3)
     result = CliRunner().invoke(app, [*live, "--out", str(tmp_path / "live")])
     assert "new file that ends in .mcap" in str(result.exception)
+    assert "touch nothing" not in result.output
+    loud = file.rename(tmp_path / "KEPT.MCAP")
+    assert len(list(open_recording(loud).pictures)) == 6
 
 
 @pytest.mark.slow
