@@ -25,8 +25,9 @@ PLACES = {
     rf"{re.escape(tempfile.gettempdir())}/tacgen-[a-z]+-\w+": "TMP",
     r"\b\d+\.\d+\.\d+\b": "VERSION",
     r"\b[0-9a-f]{64}\b": "HASH",
+    r"\bclient \d+": "client CLIENT",
 }
-"""Patterns of what differs between machines, and what stands for it in the table."""
+"""Patterns of what differs between machines or runs, and what stands for it in the table."""
 INDENT = "    "
 _counts: dict[str, int] = {}
 
