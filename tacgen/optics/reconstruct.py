@@ -44,6 +44,11 @@ BLUR_PX = 0.7  # lowers the camera's noise; below a contact's finest feature
 STEEP_SHARE = 0.9
 """The imprint's rim is the outermost contour at least so steep as the steepest one: where a gel
 keeps to an object its walls get steeper outwards, beside it the gel levels off."""
+LEVEL_STEP_PX, FACE_SHARE = 8, 0.5
+"""Of the gel around a contact so many pixels are one; what is deeper than such a share of the
+deepest, or touches no edge of the picture, is a flat face of the object, coloured as bare gel."""
+TILT_HELD = 0.002
+"""Of the picture's pixels, held level: bare gel that is seen in a corner alone does not tilt."""
 RIM_LAYERS = 0.4
 """Share of the depth inside the rim whose layers tell how the object goes on beyond it."""
 RIM_BLUR_PX, RIM_BORDER_PX = 1.0, 5  # noise makes contours long; so far the blur reaches
@@ -261,7 +266,7 @@ class Reconstructor:
         surface = integrate(bent[..., 0], bent[..., 1], scale)
         # The middle of its upper half: below flat faces lies no bare gel.
         level = float(np.quantile(surface[::2, ::2][bare[::2, ::2]], 0.75))
-        return np.asarray(level - surface)
+        return _levelled(np.asarray(level - surface), bare)
 
     def _with_flanks(
         self, slopes: FloatArray, depth: FloatArray, steep: BoolArray
@@ -290,6 +295,30 @@ class Reconstructor:
         now = np.hypot(*slopes[steep].T)
         slopes[steep] *= np.where(unknown[steep], 1.0, np.maximum(steeper / now, 1.0))[:, None]
         return slopes, unknown
+
+
+def _levelled(depth: FloatArray, bare: BoolArray) -> FloatArray:
+    """Depth (h, w), mm, less the plane through that of the ``bare`` gel around the contacts.
+
+    Slopes that a table reads too steep on one side of a deep contact lower all gel beyond it.
+    """
+    rows, columns = (np.arange(LEVEL_STEP_PX // 2, n, LEVEL_STEP_PX) for n in depth.shape)
+    here = np.ix_(rows, columns)
+    shallow = bare[here] & (depth[here] < FACE_SHARE * depth.max())
+    _, patches = cv2.connectedComponents(shallow.astype(np.uint8), connectivity=4)
+    edges = np.concatenate([patches[0], patches[-1], patches[:, 0], patches[:, -1]])
+    i, j = np.nonzero(np.isin(patches, edges[edges > 0]))
+    if not i.size:
+        return depth
+    v, u = (np.arange(n, dtype=np.float32) / n - 0.5 for n in depth.shape)
+    x, y = u[columns[j]], v[rows[i]]
+    basis = np.stack([np.ones_like(x), x, y])
+    held = np.diag([0.0, 1.0, 1.0]) * TILT_HELD * patches.size
+    seen = depth[rows[i], columns[j]]
+    _, by_x, by_y = np.linalg.solve(basis @ basis.T + held, basis @ seen)
+    at = np.quantile(seen - by_x * x - by_y * y, 0.25)
+    along, down = (at + by_x * u).astype(depth.dtype), (by_y * v[:, None]).astype(depth.dtype)
+    return np.asarray(depth - along - down)
 
 
 def _continued(
