@@ -222,7 +222,8 @@ class ImageReader:
         pitch_mm = math.nan if unseen else self.dot_pitch_mm
         law, mm_per_px = self.sensor.law, self.sensor.table.mm_per_px
         reading = _with_forces(reading, law, mm_per_px, pitch_mm, self._curve)
-        white = float((rgb[touched] == CLIPPED).any(axis=1).mean())
+        clipped = np.logical_or.reduce([rgb[..., channel] == CLIPPED for channel in range(3)])
+        white = float(clipped[touched].mean())
         bright = f"{white:.0%} of the contact is overexposed: expose less, as for the table"
         bright += "; depth and force may be too large or too small"
         doubts = (unseen, *self._reconstructor.doubts, bright * (white > MOST_CLIPPED))
