@@ -119,8 +119,10 @@ def step(problem: Problem[C, S], current: S) -> Step[S]:
     levels, path = grown(problem, [current])
     ends = [*(levels[0] if levels else ()), *path, *(swapped(problem, end) for end in path[-1:])]
     least = problem.score(current) - problem.least_lead(current)
-    found = first_accepted(problem, ends, least) or problem.elsewhere(current)
-    return Step(current, tuple(levels[0] if levels else ()), found)
+    found = first_accepted(problem, ends, least)
+    found = found or first_accepted(problem, [swapped(problem, current)], least)
+    tried = tuple(levels[0] if levels else ())
+    return Step(current, tried, found or problem.elsewhere(current))
 
 
 def first_accepted(problem: Problem[C, S], ends: Sequence[S], least: float) -> S | None:

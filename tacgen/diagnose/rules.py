@@ -23,6 +23,8 @@ class ContactRules(SearchRules):
     *few* means fewer than ``min_trials_as_units`` trials to fit.
     """
 
+    width: int = 3  # of one effect, the form that alone is best may not be so beside another
+
     # Rows, neighbours and units
     rows_per_trial: int = 60  # averaged to while choosing: more change no choice
     min_rows: int = 4800  # in all where trials are few
@@ -76,6 +78,7 @@ class ContactRules(SearchRules):
     exact_share: float = 0.01  # of what is measured: a smaller error is no fault of a law
     share_of_presses: float = 0.3  # of such a residual's squares, that a gain and a zero of each
     # trial explain: it differs from press to press
+    share_of_both: float = 0.9  # of what both explain: one of them that does is named alone
     own_block: int = 8  # rows, that are fitted or scored together then: noise hardly lasts longer
     share_of_one_trial: float = 0.5  # of the residual in one trial: that is worth a look
     max_explanations: int = 8  # of a channel, by held-out score, that next presses separate

@@ -10,6 +10,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from tacgen.contact.effects import find_effect
+from tacgen.contact.effects.tilt import TILT
 from tacgen.core.errors import RecipeError
 from tacgen.core.records import csv_problem
 from tacgen.core.types import FloatArray
@@ -17,9 +19,10 @@ from tacgen.rig.rig_recipe import RigRecipe, Temperature
 
 Columns = dict[str, NDArray[Any]]
 
-PRESS, NOISE, CAMERA, ORDER, MARKERS = range(5)
+PRESS, NOISE, CAMERA, ORDER, MARKERS, ASKEW = range(6)
 """Streams of random numbers: a press's course, its samples' noise, its camera, a round's order, its
-dots' noise."""
+dots' noise, its tilt."""
+TILT_DEG = 5.0  # standard deviation about each axis, of presses that an effect lets tilt matter to
 
 
 def press_rng(recipe: RigRecipe, press: int, stream: int) -> np.random.Generator:
@@ -177,6 +180,9 @@ def press_course(recipe: RigRecipe, press: Press, number: int, start_s: float) -
     }
     if recipe.temperature is not None:
         columns["temperature_c"] = _room(recipe.temperature, columns["time_s"])
+    if any(set(TILT) <= set(find_effect(e.channel, e.name).needs) for e in recipe.effects):
+        tilt_deg = press_rng(recipe, number, ASKEW).normal(0.0, TILT_DEG, len(TILT))
+        columns |= {name: np.full(n, one) for name, one in zip(TILT, tilt_deg, strict=True)}
     return columns
 
 

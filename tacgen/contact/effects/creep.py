@@ -10,6 +10,7 @@ FREE_RECOVERING, FREE_HELD = base.free_amounts("recovering", 6), base.free_amoun
 TERMS = (("amount", "tau_s"), ("amount_2", "tau_2_s"))
 LONGEST_TAU, LONGEST_CARRIED = 5.0, 50.0  # in durations of a trial
 LEAST_CARRIED = 0.2  # τ in pauses between trials: of faster ones nothing is left
+N_CHAIN, CHAIN_REACH = 16, 100.0  # terms of a power of time, the slowest of so many ``longest_s``
 
 
 def _apply(
@@ -22,9 +23,11 @@ def _apply(
     amount·F(t)(1 − exp(−t/τ)), which is gone with the load, t since the trial's load first stood
     above a twentieth of ``span_n``, or with ``since_press`` 1 its normal force above one of
     ``press_span_n``; in between, a share of each. Corrections are
-    amounts of each kind for six τ at even ratios from ``shortest_s`` to ``longest_s``.
+    amounts of each kind for six τ at even ratios from ``shortest_s`` to ``longest_s``. A power of
+    time recovers too: a chain of terms that yields power_amount by ``longest_s``.
 
-    Source: Ferry 1980, Viscoelastic Properties of Polymers, ch. 3: the generalised Kelvin chain.
+    Source: Ferry 1980, Viscoelastic Properties of Polymers, ch. 3: the generalised Kelvin chain;
+    Cole & Cole 1941, J. Chem. Phys. 9: the spectrum of a power of time that ends at τ.
     """
     recovery = p["recovery"]
     begins: base.Channel = "normal" if p["since_press"] == 1.0 else channel
@@ -36,6 +39,8 @@ def _apply(
     if any(map(any, free)):
         taus = np.geomspace(p["shortest_s"], p["longest_s"], len(free))
         terms += [(tau, *amounts) for tau, amounts in zip(taus, free, strict=True)]
+    if p["power_amount"] != 0.0:
+        terms += _chain(p)
     result = load.copy()
     for tau, recovering, with_load in terms:
         if recovering != 0.0:
@@ -46,6 +51,18 @@ def _apply(
             grown = -np.expm1(-history.time_since_contact_s(begins, p[span]) / tau)
             result += with_load * load * grown[:, None]
     return result
+
+
+def _chain(p: base.Parameters) -> list[tuple[float, float, float]]:
+    """Terms (τ, amount, 0) of 1 − E(−(t / ends_s)^power), E being Mittag-Leffler's function."""
+    taus = np.geomspace(p["shortest_s"], CHAIN_REACH * p["longest_s"], N_CHAIN)
+    ratio = (taus / p["ends_s"]) ** p["power"]
+    spectrum = 1.0 / (ratio + 1.0 / ratio + 2.0 * np.cos(np.pi * p["power"]))
+    yielded = spectrum @ -np.expm1(-p["longest_s"] / taus)
+    return [
+        (tau, p["power_amount"] * one / yielded, 0.0)
+        for tau, one in zip(taus.tolist(), spectrum.tolist(), strict=True)
+    ]
 
 
 def _tau_bounds(
@@ -123,7 +140,15 @@ def _variants(
         )
         for kind, shape, _ in kinds
     ]
-    return (*single, *double)
+    endless = CHAIN_REACH * references["longest_s"]
+    powers = [
+        base.variant(label, [{"power_amount": 0.2}], {"power": 0.3, "ends_s": ends_s}, fitted=free)
+        for label, ends_s, free in (
+            ("a power of time", endless, ("power",)),
+            ("a power of time that ends", duration, ("power", "ends_s")),
+        )
+    ]
+    return (*single, *double, *powers)
 
 
 for _channel in base.CHANNELS:
@@ -141,6 +166,9 @@ for _channel in base.CHANNELS:
                 base.shape("recovery", 0.0, 1.0, 1.0),
                 base.shape("carried", 0.0, 1.0, 0.0),
                 base.shape("since_press", 0.0, 1.0, 0.0),
+                base.amount("power_amount", 0.0, 20.0),
+                base.shape("power", 0.02, 0.95, 0.3),
+                base.shape("ends_s", 1e-3, 1e7, 1.0, "s", partial(_tau_bounds, channel=_channel)),
                 *FREE_RECOVERING,
                 *FREE_HELD,
                 base.reference("shortest_s", "s"),

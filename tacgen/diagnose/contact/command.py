@@ -186,14 +186,13 @@ class _Channel:
     def diagnosis(self, choices: Sequence[Attribution]) -> result.ChannelDiagnosis:
         """The diagnosis by the choice on all trials and, if there is one, on those to fit."""
         rules, rng, every = self._rules, self._rng, self.every
-        attribution, without, gp = choices[0], choices[-1], float("nan")
+        attribution, without = choices[0], choices[-1]
         n_trials = every.history.n_trials
         why = "there is one trial" if n_trials == 1 else "only noise is left without them"
         fitted, test, how, n_test = every, every, f"none could be: {why}", 0
         if self.split:
             fitted, test = self.split
             how, n_test = HELD_OUT, test.history.n_trials
-            gp = self._gp_rmse(fitted, test, without.base.fit.model)
         before, after = self._test_errors(fitted, test, without)
         data = every.thinned(self._rules.refit_rows_per_trial)
         base = _refitted(data, Model(attribution.base.fit.model.compliance))
@@ -207,8 +206,8 @@ class _Channel:
         found = _unexplained(attribution, data, base, final, after_structure)
         least = max(rules.clearly_more * floor, rules.exact_share * self._rms)
         rest = float(np.sqrt((left[samples.weight > 0] ** 2).mean()))
+        share, own_of_press = of_each_press(data, final)
         if not found and rest > least:
-            share = of_each_press(data, final)
             name = EACH_PRESS if share > rules.share_of_presses else COURSE
             found = (Dependence(name, float("nan"), share if name == EACH_PRESS else 1.0 - share),)
         return result.ChannelDiagnosis(
@@ -228,13 +227,13 @@ class _Channel:
             ),
             floor=floor,
             n_spikes=int((every.precision == 0).sum()),
-            gp_rmse=gp,
             n_fit=fitted.history.n_trials,
             n_test=n_test,
             how=how,
             dependences_before=before_structure,
             dependences_after=after_structure,
             unexplained=found,
+            own_of_press=own_of_press,
         )
 
     def _test_errors(
@@ -257,11 +256,6 @@ class _Channel:
         before = scored(attribution.base.fit.model)
         after = scored(model) if model.terms else before
         return before, after
-
-    def _gp_rmse(self, fitted: ChannelSamples, test: ChannelSamples, linear: Model) -> float:
-        data, rows = fitted.thinned(), test.every_sample()
-        left, test_left = (d.target - linear.law_response(d) for d in (data, rows))
-        return heldout.gp_rmse(data, left, rows, test_left, self._rng)
 
 
 def _reduction(before: FloatArray, after: FloatArray) -> FloatArray:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.contact.effects.tilt import TILT
 from tacgen.core.types import FloatArray
 from tacgen.diagnose.contact import scores
 from tacgen.diagnose.contact.candidates import follows_load, known_columns, max_levels
@@ -16,7 +17,7 @@ from tacgen.diagnose.contact.model import Fit
 from tacgen.diagnose.evidence import Dependence
 
 DEGREE = 3  # in a covariate that a residual is tested for
-NAMED = ("x_mm", "y_mm", "radius_mm", "temperature_c", "indenter")
+NAMED = ("x_mm", "y_mm", "radius_mm", "temperature_c", "indenter", *TILT)
 """Columns of a press log that a residual may follow; every column that is not known may too."""
 EACH_PRESS, COURSE = "press", "course_of_the_press"
 """What a residual follows that no column explains: a gain or zero of each press, or its course."""
@@ -43,6 +44,8 @@ def covariates_of(data: ChannelData, skip: Sequence[str] = ()) -> dict[str, NDAr
         found["shear_force" if data.channel == "normal" else "force_normal_n"] = (
             history.shear_size_n if data.channel == "normal" else history.force_normal_n
         )
+    if history.has(*TILT):
+        found["tilt"] = np.hypot(*(history.column(name) for name in TILT))
     known = {*known_columns(), *TARGETS[data.channel]} - set(NAMED)
     for name, values in data.columns.items():
         numeric = np.issubdtype(np.asarray(values).dtype, np.number)
@@ -88,8 +91,8 @@ def dependences(
     return tuple(sorted(found, key=lambda d: (d.p_value, -d.gain)))
 
 
-def of_each_press(data: ChannelData, fit: Fit) -> float:
-    """The share of the residual's squares that a gain and a zero of each trial explain.
+def of_each_press(data: ChannelData, fit: Fit) -> tuple[float, str]:
+    """The share of the residual's squares that a gain and a zero of each trial explain; and which.
 
     Fitted to one half of a trial's rows and scored on the other: blocks of ``rules.own_block`` rows
     in turn, shorter ones where a trial has not four of them.
@@ -98,19 +101,27 @@ def of_each_press(data: ChannelData, fit: Fit) -> float:
     residual = data.target - fit.model.response(data)
     design = np.column_stack([fit.model.law_response(data) / data.span, np.ones(rows.size)])
     weight = np.sqrt(data.weight)[:, None]
-    left = residual.copy()
     lengths = np.diff(history.starts)[history.trial_index]
     block = np.clip(lengths // 4, 1, data.rules.own_block)
     odd = (rows - history.starts[history.trial_index]) // block % 2 == 1
-    for trial in range(history.n_trials):
-        own = history.trial_index == trial
-        for scored in (odd, ~odd):
-            kept, other = own & ~scored, own & scored
-            root = design[kept] * weight[kept]
-            found = np.linalg.lstsq(root, residual[kept] * weight[kept], rcond=1e-3)[0]
-            left[other] -= design[other] @ found
-    before, after = (float((one**2 * weight**2).sum()) for one in (residual, left))
-    return 1.0 - after / max(before, 1e-300)
+
+    def explained(columns: slice) -> float:
+        left = residual.copy()
+        for trial in range(history.n_trials):
+            own = history.trial_index == trial
+            for scored in (odd, ~odd):
+                kept, other = own & ~scored, own & scored
+                root = design[kept, columns] * weight[kept]
+                found = np.linalg.lstsq(root, residual[kept] * weight[kept], rcond=1e-3)[0]
+                left[other] -= design[other, columns] @ found
+        before, after = (float((one**2 * weight**2).sum()) for one in (residual, left))
+        return 1.0 - after / max(before, 1e-300)
+
+    both = explained(slice(None))
+    for name, columns in (("a gain", slice(None, -1)), ("a zero", slice(-1, None))):
+        if explained(columns) >= data.rules.share_of_both * both > 0:
+            return both, name
+    return both, "a gain and a zero"
 
 
 def _basis(values: NDArray[Any], most_levels: int) -> list[FloatArray]:

@@ -33,7 +33,8 @@ class ChannelDiagnosis(record.Summarised):
     ``after`` are errors on held-out trials: of a law that was chosen and fitted without them, with
     the ``scored_effects``; ``scale`` is the RMS of what is measured. ``how`` says how the trials
     were held out; ``floor`` is the standard deviation of one sample's noise. ``linear`` is the law
-    without effects, as a calibration has it.
+    without effects, as a calibration has it; ``own_of_press`` says which of a gain and a zero each
+    press has for itself in the residual.
     """
 
     data: ChannelData
@@ -50,13 +51,13 @@ class ChannelDiagnosis(record.Summarised):
     gain_interval: tuple[float, float]
     floor: float
     n_spikes: int
-    gp_rmse: float
     n_fit: int
     n_test: int
     how: str
     dependences_before: tuple[Dependence, ...]
     dependences_after: tuple[Dependence, ...]
     unexplained: tuple[Dependence, ...]
+    own_of_press: str
 
     @property
     def compliance(self) -> Estimate:
@@ -97,10 +98,14 @@ class ChannelDiagnosis(record.Summarised):
         }
         if self.data.history.is_relaxing(self.data.channel):
             wheres["creep"] = " (the force relaxes at a held displacement)"
+        of_presses = {
+            EACH_PRESS: f"each press ({self.own_of_press} of its own)",
+            COURSE: "the course of each press",
+        }
         return record.Summary(
             _LAW_WORDS[self.data.channel],
             [name.replace("_", " ") + wheres[name] for name in self.effect_names],
-            [_OF_PRESSES.get(one.covariate, one.covariate) for one in self.unexplained],
+            [of_presses.get(one.covariate, one.covariate) for one in self.unexplained],
             before=self.before.rmse,
             after=self.after.rmse,
             floor=self.floor,
@@ -112,10 +117,6 @@ class ChannelDiagnosis(record.Summarised):
         )
 
 
-_OF_PRESSES = {
-    EACH_PRESS: "each press (a gain or a zero of its own)",
-    COURSE: "the course of each press",
-}
 _LAW_WORDS = {"normal": "V = k_n F_n", "shear": "D = k_s F_s"}
 
 
@@ -170,7 +171,6 @@ def _channel(found: ChannelDiagnosis) -> dict[str, Any]:
         ),
         trials=(found.n_fit, found.n_test),
         gain_interval_95=[finite(v) for v in found.gain_interval],
-        gp_baseline={"rmse": finite(found.gp_rmse), "unit": unit},
         held_out=found.how,
         scored_effects=list(found.scored_effects),
         compliance={

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.special import erfcx
 
 from tacgen.contact.effects import LoadHistory, Where, find_effect
 from tacgen.contact.effects.base import power_shape
@@ -52,6 +53,30 @@ def test_creep_as_it_is_fitted_never_goes_back_under_a_held_load(channel):
         drawn = {name: rng.uniform(low, high) for name, (low, high) in ends.items()}
         crept = effect.apply(np.ones((60, 1)), history, values | drawn)
         assert np.all(np.diff(crept[:, 0]) >= -1e-12)
+
+
+def test_creep_as_a_power_of_time_is_the_springpot_and_ends_as_mittag_leffler_has_it():
+    time = np.r_[0.0, np.geomspace(0.2, 100.0, 120)]
+    history = history_of(np.full(121, 3.0), time)
+    given = {"shortest_s": 0.01, "longest_s": 100.0, "power_amount": 0.4}
+    for power, ends_s, shape in (
+        (0.2, 1e7, time**0.2),
+        (0.5, 2.0, 1.0 - erfcx(np.sqrt(time / 2.0))),
+    ):
+        crept = volume(history, "creep", **given, power=power, ends_s=ends_s)[:, 0] / 6.0 - 1.0
+        assert crept[-1] == pytest.approx(0.4, rel=1e-9)
+        # What yields within the shortest time is as if at once: the compliance holds it.
+        since, wanted = ((one - one[1])[1:] / (one[-1] - one[1]) for one in (crept, shape))
+        np.testing.assert_allclose(since, wanted, atol=0.02)
+
+
+def test_a_tilt_counts_whichever_way_it_is_or_by_its_side():
+    tilt_x, tilt_y = np.array([0.0, 3.0, -3.0, 0.0]), np.array([0.0, 4.0, -4.0, 10.0])
+    history = history_of(np.full(4, 3.0), tilt_x=tilt_x, tilt_y=tilt_y)
+    found = volume(history, "tilt", amount=0.4, square=0.2)[:, 0]
+    np.testing.assert_allclose(found, 6.0 * np.array([1.0, 1.25, 1.25, 1.6]), rtol=1e-12)
+    aside = volume(history, "tilt", x=0.1, y=-0.2)[:, 0]
+    np.testing.assert_allclose(aside, 6.0 * np.array([1.0, 0.95, 1.05, 0.8]), rtol=1e-12)
 
 
 def test_creep_is_superposed_and_recovers_after_unloading():

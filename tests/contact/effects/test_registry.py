@@ -35,6 +35,8 @@ def press_columns(n_trials=24, n_samples=60, seed=0):
         "y_mm": rng.uniform(-5, 5, n_trials),
         "radius_mm": rng.choice([2.0, 3.0, 5.0, np.nan], n_trials),
         "temperature_c": rng.uniform(18.0, 30.0, n_trials),
+        "tilt_x": rng.normal(0.0, 5.0, n_trials),
+        "tilt_y": rng.normal(0.0, 5.0, n_trials),
     }
     columns |= {name: np.repeat(values, n_samples) for name, values in each.items()}
     ball = np.where(np.isnan(columns["radius_mm"]), "flat", "ball")

@@ -288,7 +288,17 @@ def test_an_error_far_above_the_noise_is_unexplained_where_no_column_explains_it
     # A gain of each explains all but the noise, which is more than two floors below.
     assert left.covariate == "press"
     assert left.gain > 0.75
-    assert "follows each press (a gain or a zero of its own)" in found.sentence
+    assert "follows each press (a gain of its own)" in found.sentence
+
+
+def test_a_zero_of_each_press_is_told_from_a_gain():
+    columns, _ = case([], n_trials=7, seed=3)
+    log = few_columns(columns)
+    zero = 0.05 * log["volume_mm3"].max() * np.random.default_rng([3, 7]).normal(size=7)
+    log["volume_mm3"] = log["volume_mm3"] + zero[log["trial"]]
+    found = diagnose(log).channels["normal"]
+    assert [one.covariate for one in found.unexplained] == ["press"]
+    assert "follows each press (a zero of its own)" in found.sentence
 
 
 def test_a_gain_of_each_press_is_seen_in_presses_of_six_samples():
