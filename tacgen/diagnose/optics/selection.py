@@ -197,7 +197,8 @@ class PressProblem(Problem[OpticalCandidate, Scored]):
         squares = fit.mean_squares(after)
         gain, error = log_gain(fit.mean_squares(before), squares)
         chance = _chance(fit.by_press(evidence), fit.rules.table_presses)
-        among = sum(one.effect not in {m.effect for m in model.candidates} for one in self.listed)
+        has = {member.effect for member in model.candidates}
+        among = sum(one is candidate or one.effect not in has for one in self.listed)
         return Scored(fitted, squares, known, gain, error, chance, among)
 
     def without(self, full: Scored, member: OpticalCandidate) -> Scored:
