@@ -181,7 +181,7 @@ def make_real_table(name: str, path: Path) -> LookupTable:
             "heldout": heldout,
             "source": f"{len(presses)} real ball presses of {source.presses}",
             "license": source.license,
-            "date": "2026-11-28",
+            "date": "2026-11-29",
             "command": f"python -m scripts.make_default_tables {name}=PRESSES",
             "note": note,
         },

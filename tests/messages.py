@@ -22,7 +22,7 @@ APPROVE = "TACGEN_APPROVE_MESSAGES"
 PLACES = {
     re.escape(sys.executable): "PYTHON",
     re.escape(str(Path(__file__).parents[1])): "CHECKOUT",
-    rf"{re.escape(tempfile.gettempdir())}/tacgen-[a-z]+-\w+": "TMP",
+    rf"{re.escape(tempfile.gettempdir())}/(tacgen-[a-z]+-\w+|pytest-of-\w+/pytest-\d+/\w+)": "TMP",
     r"\b\d+\.\d+\.\d+\b": "VERSION",
     r"\b[0-9a-f]{64}\b": "HASH",
     r"\bclient \d+": "client CLIENT",

@@ -32,7 +32,7 @@ from tacgen.optics.image_models import Quadratic, Response
 from tacgen.optics.markers import INK_TRANSMISSION
 from tacgen.optics.noise import CameraNoise
 from tacgen.optics.render import Shader
-from tacgen.optics.smooth import BEYOND, Gaussian
+from tacgen.optics.smooth import BEYOND, HALVED_FROM_PX, Gaussian
 from tacgen.optics.table import LookupTable
 
 PART = 1024
@@ -247,7 +247,7 @@ class WarpWorlds:
             blur = Gaussian(sigma_mm / self._sensor.mm_per_px)
             self._stages.append((self._put(blur.kernel, wp.float32), blur.factor.bit_length() - 1))
         shape, self._levels = self._sensor.shape_px, list[tuple[wp.array, wp.array]]()
-        for _ in range(3):
+        for _ in range(1 + len(HALVED_FROM_PX)):
             first, other = (self._zeros((self._part, *shape), wp.float32) for _ in range(2))
             self._levels.append((first, other))
             shape = (shape[0] + 1) // 2 + 2 * BEYOND, (shape[1] + 1) // 2 + 2 * BEYOND

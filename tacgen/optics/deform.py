@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tacgen.core.compiled import njit
 from tacgen.core.types import Window
-from tacgen.optics.smooth import COARSEST, Gaussian, aligned, grown
+from tacgen.optics.smooth import Gaussian, aligned, grown
 
 PYRAMID_SIGMA_MM = (0.236, 0.1033, 0.059, 0.0325)
 """Widths of the Gaussians, coarse to fine.
@@ -84,6 +84,7 @@ class Deformer:
         pyramid_mm = [width * sigma for sigma in PYRAMID_SIGMA_MM]
         self._pyramid = [Gaussian(sigma / mm_per_px) for sigma in pyramid_mm]
         self._final = Gaussian(FINAL_SIGMA_MM / mm_per_px)
+        self._coarsest = max(blur.factor for blur in self._pyramid)
         reaches_px = [blur.reach_px for blur in (*self._pyramid, self._final)]
         sigma_px = math.hypot(*pyramid_mm, FINAL_SIGMA_MM) / mm_per_px
         self.reach_px = min(sum(reaches_px), math.ceil(REACH_SIGMAS * sigma_px))
@@ -113,7 +114,7 @@ class Deformer:
 
         Source: Si & Yuan 2022, Taxim, §III-C.
         """
-        frame = aligned(grown(contact, self.reach_px + 1, shape_px), COARSEST, shape_px)
+        frame = aligned(grown(contact, self.reach_px + 1, shape_px), self._coarsest, shape_px)
         surface = self._zeros(frame[1] - frame[0], frame[3] - frame[2])
         top, left = frame[0], frame[2]
         patch = (contact[0] - top, contact[1] - top, contact[2] - left, contact[3] - left)

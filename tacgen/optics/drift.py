@@ -206,7 +206,7 @@ def _fits(
     columns = np.ones((height * width, 5))
     for c in range(3):
         mean, n = rest[..., c].mean(), 0
-        matrix, wanted = np.empty((height * width, terms)), np.empty(height * width)
+        matrix, wanted = np.empty((terms, height * width)), np.empty(height * width)
         for r in range(height):
             v = 2.0 * r / (height - 1) - 1.0
             for k in range(width):
@@ -215,10 +215,11 @@ def _fits(
                 columns[at, 1], columns[at, 2], columns[at, 3] = grey - mean, grey * u, grey * v
                 columns[at, 4] = grey * (u * u + v * v)
                 if use[r, k, c]:
-                    matrix[n] = columns[at, :terms]
+                    for i in range(terms):
+                        matrix[i, n] = columns[at, i]
                     wanted[n] = change[r, k, c]
                     n += 1
-        fits[c], normals[c], patches[c] = _reweighted(matrix[:n], wanted[:n], spread[c])
+        fits[c], normals[c], patches[c] = _reweighted(matrix, wanted[:n], spread[c])
         for at in range(height * width):
             total = 0.0
             for i in range(terms):
@@ -227,13 +228,17 @@ def _fits(
     return fits, normals, patches, fitted
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 def _reweighted(
     matrix: NDArray[Any], wanted: NDArray[Any], spread: float
 ) -> tuple[NDArray[Any], NDArray[Any], float]:
-    """Coefficients (n,), normal matrix (n, n) and squared error of a patch; ``matrix`` (N, n)."""
-    count, n = matrix.shape
+    """Coefficients (n,), normal matrix (n, n) and squared error of a patch.
+
+    The first values of each row of ``matrix`` (n, …) are fitted to those ``wanted`` (N,).
+    """
+    count, n = len(wanted), len(matrix)
     usual, soft, size = LEAST_SCATTER_GREY, np.ones(count), np.empty(count)
+    change = np.empty(count)
     normal, right = np.eye(n), np.empty(n)
     fit, before, patch = np.zeros((n, 1)), np.zeros((n, 1)), 0.0
     for _ in range(ROBUST_PASSES if count else 0):
@@ -241,21 +246,19 @@ def _reweighted(
         patch = usual**2 * count / INDEPENDENT_PATCHES
         normal[:], right[:] = patch / spread**2 * np.eye(n), 0.0
         normal[0, 0] = 1e-6
-        for k in range(count):
-            for i in range(n):
-                share = soft[k] * matrix[k, i]
-                right[i] += share * wanted[k]
-                for j in range(n):
-                    normal[i, j] += share * matrix[k, j]
+        for i in range(n):
+            share = soft * matrix[i, :count]
+            right[i] = np.dot(share, wanted)
+            for j in range(i + 1):
+                normal[i, j] += np.dot(share, matrix[j, :count])
+                normal[j, i] = normal[i, j]
         before[:, 0], fit[:, 0] = fit[:, 0], np.linalg.solve(normal, right)
-        moved = 0.0
-        for k in range(count):
-            model, then = 0.0, 0.0
-            for i in range(n):
-                model += matrix[k, i] * fit[i, 0]
-                then += matrix[k, i] * before[i, 0]
-            size[k] = abs(wanted[k] - model)
-            moved = max(moved, abs(model - then))
+        size[:], change[:] = wanted, 0.0
+        for i in range(n):
+            size -= matrix[i, :count] * fit[i, 0]
+            change += matrix[i, :count] * (fit[i, 0] - before[i, 0])
+        size = np.abs(size)
+        moved = np.abs(change).max()
         if moved < SETTLED_GREY:
             break
         usual = max(np.median(size), LEAST_SCATTER_GREY)

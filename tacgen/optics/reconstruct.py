@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dctn, idctn
-from scipy.ndimage import binary_dilation, find_objects, label
+from scipy.ndimage import binary_dilation
 
 from tacgen.core.compiled import njit
 from tacgen.core.errors import TableError
@@ -44,6 +44,11 @@ BLUR_PX = 0.7  # lowers the camera's noise; below a contact's finest feature
 STEEP_SHARE = 0.9
 """The imprint's rim is the outermost contour at least so steep as the steepest one: where a gel
 keeps to an object its walls get steeper outwards, beside it the gel levels off."""
+LEVEL_STEP_PX, FACE_SHARE = 8, 0.5
+"""Of the gel around a contact so many pixels are one; what is deeper than such a share of the
+deepest, or touches no edge of the picture, is a flat face of the object, coloured as bare gel."""
+TILT_HELD = 0.002
+"""Of the picture's pixels, held level: bare gel that is seen in a corner alone does not tilt."""
 RIM_LAYERS = 0.4
 """Share of the depth inside the rim whose layers tell how the object goes on beyond it."""
 RIM_BLUR_PX, RIM_BORDER_PX = 1.0, 5  # noise makes contours long; so far the blur reaches
@@ -105,12 +110,14 @@ class Shape:
         surface = np.maximum(self.depth_mm, 0.0)
         least_mm = max(least_mm, CLEAR_OF_NOISE * self.level_stderr_mm)
         depth, seen = np.zeros_like(surface), np.zeros(surface.shape, dtype=np.bool_)
-        patches, count = label(surface > least_mm)
+        above = (surface > least_mm).astype(np.uint8)
+        count, patches, boxes, _ = cv2.connectedComponentsWithStats(above, connectivity=4)
         deepest = _deepest(surface, patches, count)
         clear = max(least_mm, LEAST_SHARE * float(surface.max()))
-        boxes = find_objects(patches)
         for patch in np.flatnonzero(deepest > clear):
-            one = _continued(surface, patches == patch, boxes[patch - 1], least_mm)
+            x, y, width, height = boxes[patch, :4].tolist()
+            box = slice(y, y + height), slice(x, x + width)
+            one = _continued(surface, patches == patch, box, least_mm)
             np.maximum(depth, one.depth_mm, out=depth)
             seen |= one.seen
         return SunkenObject(depth, seen)
@@ -204,7 +211,7 @@ class Reconstructor:
             known = (covered < 0.25).astype(np.float32)
         drift = drift_of(change, self._seen, known)
         change -= drift.added
-        half = float(np.median(np.abs(change[::2, ::2]).max(axis=2)))
+        half = float(np.median(np.abs(change[::4, ::4]).max(axis=2)))
         if half > MOST_CHANGE_GREY or np.any(np.abs(_brightness(drift) - 1.0) > MOST_GAIN):
             msg = (
                 f"the image does not match the background: it is {_gains(drift)} and half of it "
@@ -216,21 +223,23 @@ class Reconstructor:
         blurred = cv2.GaussianBlur(_filled(change, known), (7, 7), BLUR_PX)
         seen: FloatArray = np.asarray(blurred, np.float32)
         bare = drift.bare if drift.bare.any() else known > 0
-        of_slopes: FloatArray = seen
+        of_slopes, nearly = seen, None
         if self._coarse is not None:
-            pressed = self._pressed(self._coarse, seen, known, drift)
-            of_slopes = self._slopes.without_contact_light(seen, *pressed, drift.bare)
-        found = self._slopes.slopes_of(of_slopes)
+            nearly, deep = self._pressed(self._coarse, seen, known, drift)
+            of_slopes = self._slopes.without_contact_light(seen, nearly, deep, drift.bare)
+        found = self._slopes.slopes_of(of_slopes, nearly)
         depth = self._depth_of(self._slopes, found, known, bare)
         contact = (depth > 0.1 * depth.max()) & (known > 0)
         stderr = self._slopes.stderr(seen, found, np.where(drift.bare, 0.0, depth), contact)
-        steep = contact & (np.hypot(found[..., 0], found[..., 1]) >= AT_STEEPEST * self.steepest)
+        steepness = found[..., 0] ** 2 + found[..., 1] ** 2
+        steep = contact & (steepness >= (AT_STEEPEST * self.steepest) ** 2)
         share = unknown_share = float(steep.sum() / max(contact.sum(), 1))
         if share > MOST_AT_STEEPEST:
             found, unknown = self._with_flanks(found, depth, steep)
             depth = self._depth_of(self._slopes, found, known, bare)
             unknown_share = float(unknown.sum() / contact.sum())
-        level = float(np.sqrt(np.mean(depth[_upper(-depth, bare)] ** 2)))
+        some = depth[::2, ::2]
+        level = float(np.sqrt(np.mean(some[_upper(-some, bare[::2, ::2])] ** 2)))
         light = float(self._gain_stderr[contact].mean()) if contact.any() else 0.0
         return Shape(depth, self.mm_per_px, stderr, share, level, unknown_share, light)
 
@@ -243,12 +252,12 @@ class Reconstructor:
         shown = np.asarray(cv2.resize(known, size, interpolation=cv2.INTER_AREA) > 0.5, np.float32)
         off = cv2.resize(drift.bare.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
         bare = off if off.any() else shown > 0
-        change, before = small, None
-        for _ in range(CONTACT_PASSES - 1):
-            found = coarse.slopes_of(change, before)
-            before = change, found
+        change, found = small, coarse.slopes_of(small)
+        depth = self._depth_of(coarse, found, shown, bare)
+        for _ in range(CONTACT_PASSES - 2):
+            before, change = change, coarse.without_contact_light(small, found, depth, off)
+            found = coarse.slopes_of(change, found, before)
             depth = self._depth_of(coarse, found, shown, bare)
-            change = coarse.without_contact_light(small, found, depth, off)
         slopes, deep = (cv2.resize(part, seen.shape[1::-1]) for part in (found, depth))
         return np.asarray(slopes), np.asarray(deep)
 
@@ -261,7 +270,7 @@ class Reconstructor:
         surface = integrate(bent[..., 0], bent[..., 1], scale)
         # The middle of its upper half: below flat faces lies no bare gel.
         level = float(np.quantile(surface[::2, ::2][bare[::2, ::2]], 0.75))
-        return np.asarray(level - surface)
+        return _levelled(np.asarray(level - surface), bare)
 
     def _with_flanks(
         self, slopes: FloatArray, depth: FloatArray, steep: BoolArray
@@ -292,6 +301,30 @@ class Reconstructor:
         return slopes, unknown
 
 
+def _levelled(depth: FloatArray, bare: BoolArray) -> FloatArray:
+    """Depth (h, w), mm, less the plane through that of the ``bare`` gel around the contacts.
+
+    Slopes that a table reads too steep on one side of a deep contact lower all gel beyond it.
+    """
+    rows, columns = (np.arange(LEVEL_STEP_PX // 2, n, LEVEL_STEP_PX) for n in depth.shape)
+    here = np.ix_(rows, columns)
+    shallow = bare[here] & (depth[here] < FACE_SHARE * depth.max())
+    _, patches = cv2.connectedComponents(shallow.astype(np.uint8), connectivity=4)
+    edges = np.concatenate([patches[0], patches[-1], patches[:, 0], patches[:, -1]])
+    i, j = np.nonzero(np.isin(patches, edges[edges > 0]))
+    if not i.size:
+        return depth
+    v, u = (np.arange(n, dtype=np.float32) / n - 0.5 for n in depth.shape)
+    x, y = u[columns[j]], v[rows[i]]
+    basis = np.stack([np.ones_like(x), x, y])
+    held = np.diag([0.0, 1.0, 1.0]) * TILT_HELD * patches.size
+    seen = depth[rows[i], columns[j]]
+    _, by_x, by_y = np.linalg.solve(basis @ basis.T + held, basis @ seen)
+    at = np.quantile(seen - by_x * x - by_y * y, 0.25)
+    along, down = (at + by_x * u).astype(depth.dtype), (by_y * v[:, None]).astype(depth.dtype)
+    return np.asarray(depth - along - down)
+
+
 def _continued(
     surface: FloatArray, patch: BoolArray, box: tuple[slice, ...], least_mm: float
 ) -> SunkenObject:
@@ -299,26 +332,34 @@ def _continued(
 
     ``patch`` (h, w), within ``box``, is what of the contact is deeper than ``least_mm``.
     """
-    around = tuple(
-        slice(max(part.start - RIM_BORDER_PX, 0), part.stop + RIM_BORDER_PX) for part in box
-    )
-    near = np.where(patch[around], surface[around], least_mm)
-    deepest = float(near.max())
-    rim = _rim_mm(near, least_mm)
+    around = _wider(box, RIM_BORDER_PX)
+    close = np.where(patch[around], surface[around], least_mm)
+    deepest = float(close.max())
+    rim = _rim_mm(close, least_mm)
     inside = patch & (surface > rim)
     depth = np.where(inside, surface, 0.0)
     layers = rim + np.linspace(0.0, RIM_LAYERS, 12) * (deepest - rim)
     pixels = _above(surface[inside], layers)
     growth = max(-float(np.polyfit(layers, pixels, 1)[0]), 0.0)
-    outside = np.flatnonzero(~inside)
+    # Of a disc about any of its pixels a quarter at least lies in the picture.
+    near = _wider(box, math.ceil(math.sqrt(4.0 / math.pi * growth * rim)) + 1)
+    outside = np.flatnonzero(~inside[near])
     beyond = min(round(growth * rim), len(outside))
     if beyond:
-        away = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        walls = (~inside[near]).astype(np.uint8)
+        away = cv2.distanceTransform(walls, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
         distance = np.asarray(away).ravel()[outside]
-        near = distance <= np.partition(distance, beyond - 1)[beyond - 1]
-        nearest = outside[near][np.argsort(distance[near], kind="stable")[:beyond]]
-        depth.flat[nearest] = rim * (1.0 - (np.arange(beyond) + 0.5) / (growth * rim))
+        first = distance <= np.partition(distance, beyond - 1)[beyond - 1]
+        nearest = outside[first][np.argsort(distance[first], kind="stable")[:beyond]]
+        continued = rim * (1.0 - (np.arange(beyond) + 0.5) / (growth * rim))
+        rows, columns = np.unravel_index(nearest, walls.shape)
+        depth[near][rows, columns] = continued
     return SunkenObject(depth, np.asarray(inside))
+
+
+def _wider(box: tuple[slice, ...], by_px: int) -> tuple[slice, ...]:
+    """A box of a picture with so much around it."""
+    return tuple(slice(max(part.start - by_px, 0), part.stop + by_px) for part in box)
 
 
 def _rim_mm(surface: FloatArray, least_mm: float) -> float:
@@ -346,8 +387,8 @@ def _rim_mm(surface: FloatArray, least_mm: float) -> float:
 
 @njit(cache=True, nogil=True)
 def _deepest(surface: NDArray[Any], patches: NDArray[Any], count: int) -> NDArray[Any]:
-    """The largest value (count + 1,) of a surface (h, w) in each patch; 0 for patch 0, none."""
-    deepest = np.zeros(count + 1, surface.dtype)
+    """The largest value (count,) of a surface (h, w) in each patch; 0 for patch 0, none."""
+    deepest = np.zeros(count, surface.dtype)
     for row in range(surface.shape[0]):
         for column in range(surface.shape[1]):
             patch = patches[row, column]

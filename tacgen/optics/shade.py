@@ -94,13 +94,19 @@ def contact_lines(change: NDArray[np.float32], width_px: int) -> NDArray[np.floa
 
     R, G and B for 1, nx and ny in turn.
     """
-    n_rows, n_columns = change.shape[:2]
-    at = (np.arange(width_px) + 0.5) / width_px * (n_columns - 1)
-    column = np.minimum(at.astype(np.int64), n_columns - 2)
-    share = (at - column).astype(np.float32)[:, None]
-    nodes = change.reshape(n_rows, n_columns, 9)
-    lines = (1 - share) * nodes[:, column] + share * nodes[:, column + 1]
-    return np.ascontiguousarray(lines.transpose(0, 2, 1), dtype=np.float32)
+    lines = at_pixels(change.reshape(*change.shape[:2], 9), width_px, 1)
+    return np.ascontiguousarray(lines.transpose(0, 2, 1))
+
+
+def at_pixels(nodes: NDArray[np.float32], size_px: int, axis: int) -> NDArray[np.float32]:
+    """Values at nodes, spread from edge to edge of the picture along an axis, at its pixels."""
+    last = nodes.shape[axis] - 1
+    at = (np.arange(size_px) + 0.5) / size_px * last
+    before = np.minimum(at.astype(np.int64), last - 1)
+    share = (at - before).astype(np.float32)
+    values = np.moveaxis(nodes, axis, -1)
+    between = (1 - share) * values[..., before] + share * values[..., before + 1]
+    return np.ascontiguousarray(np.moveaxis(between, -1, axis), dtype=np.float32)
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from tacgen.core.compiled import njit
 from tacgen.core.types import Window
 
-COARSEST = 4  # the largest number of pixels, along a side, that a wide Gaussian averages into one
+HALVED_FROM_PX = (1.9, 7.5, 15.0)
+"""Standard deviations from which a Gaussian is computed on blocks of 2×2, 4×4 and 8×8 pixels."""
 
 BEYOND = 2  # blocks beyond each edge: two, so that blocks of blocks begin at the edge too
 
@@ -177,7 +178,7 @@ def _double(coarse: NDArray[Any], window: Window, surface: NDArray[Any]) -> None
 
 
 class Gaussian:
-    """One Gaussian; from 1.9 px on it is computed on means of 2×2 pixels, from 7.5 px of 4×4.
+    """One Gaussian; the wider, the larger the blocks of pixels on whose means it is computed.
 
     What it leaves of a wave is off by at most 3 % of the wave's height; by up to 16 % of a wave
     shorter than two blocks, which the blocks see as a longer one.
@@ -189,7 +190,7 @@ class Gaussian:
     """How far anything spreads."""
 
     def __init__(self, sigma_px: float) -> None:
-        self._n_halvings = 2 if sigma_px >= 7.5 else 1 if sigma_px >= 1.9 else 0
+        self._n_halvings = sum(sigma_px >= least for least in HALVED_FROM_PX)
         variance = sigma_px**2
         for _ in range(self._n_halvings):
             # Taking means and interpolating between them has a variance of 1/4 + 3/4 pixels².

@@ -35,6 +35,7 @@ from tacgen.optics.dots import (
     find_spots,
     follow,
 )
+from tacgen.optics.effects.skirt import SKIRT
 from tacgen.optics.reconstruct import Reconstructor
 from tacgen.optics.table import load_table
 from tacgen.sensor.simulated import Frame, Sensor
@@ -136,13 +137,12 @@ class ImageReader:
         self.background_rgb = self._checked(at_rest, "the background").copy()
         dome_mm = self.sensor.description.dome_radius_mm
         self._table = self.sensor.table
-        if self._table.effects:
-            named = ", ".join(self._table.effects)
+        # The imprint ends at the contact's rim, however wide the skirt around it is.
+        if left_in := ", ".join(name for name in self._table.effects if name != SKIRT.name):
             msg = (
-                f"the table's optical effects ({named}) are drawn, but not taken out of a picture "
-                "that is read: simulated presses of a GelSight Mini read 1.1 times their volume "
-                "without effects, 1.3 with a skirt of 3 and 1.9 with shadows of near lamps; check "
-                "the volume of a press of known depth"
+                f"the table's optical effects ({left_in}) are drawn, but not taken out of a "
+                "picture that is read: depth and volume may be off by more than their errors; "
+                "check the volume of a press of known depth"
             )
             warnings.warn(msg, stacklevel=2)
         self._scale = self.sensor.table.shape_px, self.sensor.table.mm_per_px
@@ -222,7 +222,8 @@ class ImageReader:
         pitch_mm = math.nan if unseen else self.dot_pitch_mm
         law, mm_per_px = self.sensor.law, self.sensor.table.mm_per_px
         reading = _with_forces(reading, law, mm_per_px, pitch_mm, self._curve)
-        white = float((rgb[touched] == CLIPPED).any(axis=1).mean())
+        clipped = np.logical_or.reduce([rgb[..., channel] == CLIPPED for channel in range(3)])
+        white = float(clipped[touched].mean())
         bright = f"{white:.0%} of the contact is overexposed: expose less, as for the table"
         bright += "; depth and force may be too large or too small"
         doubts = (unseen, *self._reconstructor.doubts, bright * (white > MOST_CLIPPED))

@@ -116,11 +116,12 @@ def test_a_contact_adds_by_depth_slope_and_place(tmp_path):
     assert abs(added).max() > 10
     assert abs(rendered - expected).max() <= 0.5 + 2e-3
     gy, gx = np.gradient(np.float32(bumps()).astype(float), MM_PER_PX)
-    u, v = (part.ravel() for part in np.meshgrid(*(np.arange(n) / n for n in SHAPE[::-1])))
-    half = 0.5 - 0.5 / np.array(SHAPE[::-1])
-    surface = (part.ravel() for part in (gx, gy, dome() - bumps()))
-    looked_up = made.image_model.contact_colors(*surface, u - half[0], v - half[1])
-    np.testing.assert_allclose(looked_up.reshape(added.shape), added, atol=1e-4)
+    light, half_mm = made.image_model.contact_light(SHAPE)
+    normal = np.stack([np.ones_like(gx), gx, gy], axis=-1)
+    normal[..., 1:] /= np.sqrt(1 + gx**2 + gy**2)[..., None]
+    depth = np.maximum(dome() - bumps(), 0)
+    looked_up = (depth / (depth + half_mm))[..., None] * (light * normal[..., None]).sum(axis=2)
+    np.testing.assert_allclose(looked_up, added, atol=1e-4)
     save_table(made, tmp_path / "table.npz")
     np.testing.assert_array_equal(
         render_rgb(bumps(), load_table(tmp_path / "table.npz")), render_rgb(bumps(), made)

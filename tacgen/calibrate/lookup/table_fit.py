@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from tacgen.calibrate.lookup.gel_skirt import with_skirt
 from tacgen.calibrate.lookup.model_choice import Choice, choose, fold_of
 from tacgen.calibrate.lookup.prepared import PreparedPresses
 from tacgen.calibrate.lookup.press_fit import JointFit, fit_light, place_jointly
@@ -78,7 +79,7 @@ def calibrate(presses: PressImages, *, processes: int | None = None) -> Calibrat
     total = TableScore(tuple(next(scores[fold]) for fold in folds.tolist()), presses.n_experiments)
     found = {name: value for name, value in total.as_dict().items() if name != "images"}
     provenance = {**table.provenance, "heldout": found, "scale": scale.as_dict()}
-    table = replace(table, provenance=provenance)
+    table = with_skirt(replace(table, provenance=provenance))
     tables = tuple(fold_table for fold_table, _ in parts)
     return Calibration(prepared, table, fit, choice, total, scale, tables, folds)
 

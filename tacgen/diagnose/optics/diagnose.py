@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tacgen.calibrate.lookup.gel_skirt import with_skirt
 from tacgen.calibrate.lookup.press_fit import PressModel, learn_labels
 from tacgen.calibrate.lookup.score import check_resolution
 from tacgen.calibrate.lookup.table_fit import calibrate, camera_noise_grey
@@ -16,7 +17,6 @@ from tacgen.core.types import FloatArray
 from tacgen.diagnose import record
 from tacgen.diagnose.evidence import Dependence, gain_interval_95
 from tacgen.diagnose.optics.fit import Known, Model, PressFit, typical
-from tacgen.diagnose.optics.gel_skirt import fitted_width
 from tacgen.diagnose.optics.rendering import views_of
 from tacgen.diagnose.optics.residuals import PRESS, dependences
 from tacgen.diagnose.optics.selection import Scored, Selection, log_gain, select
@@ -33,7 +33,6 @@ from tacgen.optics.effects import (
 from tacgen.optics.effects.skirt import SKIRT, SLOPES
 from tacgen.optics.table import LookupTable
 from tacgen.presses.experiments import ranked
-from tacgen.presses.geometry import PressedGel
 from tacgen.presses.press_images import PressImages, label_mm
 
 
@@ -274,9 +273,9 @@ def _effects_of(table: LookupTable) -> dict[str, dict[str, float]]:
     """What the table renders, and the gel's shape beside a press as it was found before."""
     factors = table.provenance.get("press_model", {}).get("slope_factors") or ()
     known = {name: dict(values) for name, values in table.effects.items()}
-    for effect in optical_effects(Stage.GEL, Stage.GEL) if factors else ():
+    if factors:
         pairs = zip(SLOPES, factors, strict=True)
-        known[effect.name] = {name: float(factor) for name, (_, factor) in pairs}
+        known[SKIRT.name] = {name: float(factor) for name, (_, factor) in pairs}
     return known
 
 
@@ -386,28 +385,18 @@ def _extended(
     skirt around any object is, and what the labels ``labels_mm`` (N, 3) say of a place is learnt
     with it anew.
     """
-    rendered = {effect.name for effect in optical_effects(Stage.SURFACE)}
-    effects = {name: v for name, v in found.effects().items() if name in rendered}
+    kept = {effect.name for effect in optical_effects(Stage.SURFACE)} | table.effects.keys()
+    effects = {name: v for name, v in found.effects().items() if name in kept}
     provenance = {**table.provenance, "diagnosed_by": f"tacgen {__version__} diagnose optics"}
-    shapes = [
-        effect.slope_factors(**found.effects()[effect.name])
-        for effect in optical_effects(Stage.GEL, Stage.GEL)
-        if effect.name in found.effects()
-    ]
-    if shapes and "press_model" in provenance:
+    factors = SKIRT.slope_factors(**found.effects().get(SKIRT.name, {}))
+    is_drawn = bool(factors) and "press_model" in provenance
+    if is_drawn:
         drawn = PressModel.from_dict(provenance["press_model"])
-        membrane = replace(drawn.membrane, slope_factors=shapes[0])
-        contact_mm, ball_mm = drawn.labels.contact_radius_mm, provenance["ball_radius_mm"]
-        pressed = PressedGel(contact_mm, float(np.mean(ball_mm)), membrane)
-        effects[SKIRT.name] = {"width": fitted_width(pressed)}
+        membrane = replace(drawn.membrane, slope_factors=factors)
         drawn = replace(drawn, membrane=membrane, labels=learn_labels(labels_mm, found.places))
         provenance["press_model"] = drawn.as_dict()
-    return replace(
-        table,
-        effects=effects,
-        noise_grey=noise_grey,
-        provenance=provenance,
-    )
+    extended = replace(table, effects=effects, noise_grey=noise_grey, provenance=provenance)
+    return with_skirt(extended) if is_drawn else extended
 
 
 def _cannot_tell(scene: PressScene, selection: Selection) -> tuple[str, ...]:

@@ -28,7 +28,9 @@ class Skirt(base.OpticalEffect):
     parameters = MappingProxyType({**SLOPES, "width": base.OpticalParameter(1.0, 1.0, 4.0)})
 
     def slope_factors(self, **values: float) -> tuple[tuple[float, float], ...]:
-        """At each of ``SKIRT_RADII`` its parameter."""
+        """At each of ``SKIRT_RADII`` its parameter; nothing where none is given."""
+        if not values.keys() & SLOPES:
+            return ()
         given = (values.get(name, p.identity) for name, p in SLOPES.items())
         return tuple(zip(SKIRT_RADII, given, strict=True))
 

@@ -45,14 +45,12 @@ class ImageModel(Protocol):
         The nodes are spread evenly from edge to edge of the image; the inverse searches them.
         """
 
-    def contact_colors(
-        self, gx: FloatArray, gy: FloatArray, depth_mm: FloatArray, u: FloatArray, v: FloatArray
-    ) -> FloatArray:
-        """Grey levels (n, 3) that a contact of slopes and depths (n,) adds to those of its slope.
+    def contact_light(self, shape_px: tuple[int, int]) -> tuple[NDArray[np.float32], float]:
+        """What a deep contact adds at each pixel, and the depth, mm, at which half of it shows.
 
-        ``u`` and ``v`` (n,) are the places, column and row, from −½ to ½.
+        (H, W, 3, 3): grey levels, RGB last, for 1, nx and ny of the surface's normal.
         """
-        return np.zeros((len(gx), 3))
+        return np.zeros((*shape_px, 3, 3), np.float32), 1.0
 
     def save(self) -> TableSection:
         """The arrays and the numbers from which ``load`` makes it again."""

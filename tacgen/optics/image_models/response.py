@@ -1,6 +1,5 @@
 """Image model of light of any course in position, and of what a contact adds to it."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -8,7 +7,6 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tacgen.core.compiled import njit
 from tacgen.core.types import FloatArray
 from tacgen.optics import shade
 from tacgen.optics.image_models.base import (
@@ -89,15 +87,12 @@ class Response(ImageModel):
         """As of ``ImageModel``."""
         return between_nodes(self.response, self.max_slope_rad, gx, gy)
 
-    def contact_colors(
-        self, gx: FloatArray, gy: FloatArray, depth_mm: FloatArray, u: FloatArray, v: FloatArray
-    ) -> FloatArray:
-        """As of ``ImageModel``, in float64."""
+    def contact_light(self, shape_px: tuple[int, int]) -> tuple[NDArray[np.float32], float]:
+        """As of ``ImageModel``."""
         if self.contact is None:
-            return np.zeros((len(gx), 3))
-        colors = np.empty((len(gx), 3))
-        _contact_colors(self.contact.change, self.contact.depth_mm, gx, gy, depth_mm, u, v, colors)
-        return colors
+            return ImageModel.contact_light(self, shape_px)
+        at_rows = shade.at_pixels(self.contact.change, shape_px[0], 0)
+        return shade.at_pixels(at_rows, shape_px[1], 1), self.contact.depth_mm
 
     def save(self) -> TableSection:
         """As of ``ImageModel``; the response in half precision."""
@@ -138,36 +133,3 @@ class Response(ImageModel):
                 "nodes of position and a depth above 0"
             )
         return problems
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _contact_colors(
-    change: NDArray[Any],
-    half_mm: float,
-    gx: NDArray[Any],
-    gy: NDArray[Any],
-    depth_mm: NDArray[Any],
-    u: NDArray[Any],
-    v: NDArray[Any],
-    colors: NDArray[Any],
-) -> None:
-    """The grey levels of :class:`ContactLight`, between its nodes, into ``colors`` (n, 3)."""
-    n_rows, n_columns = change.shape[:2]
-    for k in range(len(gx)):
-        down, across = (v[k] + 0.5) * (n_rows - 1), (u[k] + 0.5) * (n_columns - 1)
-        row = min(max(int(down), 0), n_rows - 2)
-        column = min(max(int(across), 0), n_columns - 2)
-        down, across = down - row, across - column
-        depth = max(depth_mm[k], 0.0)
-        share = depth / (depth + half_mm)
-        length = math.sqrt(1.0 + gx[k] * gx[k] + gy[k] * gy[k])
-        for c in range(3):
-            total = 0.0
-            for term in range(3):
-                upper = change[row, column, term, c]
-                upper += across * (change[row, column + 1, term, c] - upper)
-                lower = change[row + 1, column, term, c]
-                lower += across * (change[row + 1, column + 1, term, c] - lower)
-                here = upper + down * (lower - upper)
-                total += here * (1.0 if term == 0 else (gx[k] if term == 1 else gy[k]) / length)
-            colors[k, c] = share * total

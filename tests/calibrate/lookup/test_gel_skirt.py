@@ -8,9 +8,10 @@ import pytest
 import trimesh
 
 from tacgen.batch.sensor import BatchSensor
+from tacgen.calibrate.lookup.gel_skirt import fitted_width
+from tacgen.calibrate.lookup.gel_skirt import with_skirt as table_with_skirt
 from tacgen.diagnose.optics.diagnose import _extended
 from tacgen.diagnose.optics.fit import Model
-from tacgen.diagnose.optics.gel_skirt import fitted_width
 from tacgen.optics.deform import Deformer
 from tacgen.optics.effects.skirt import SKIRT_RADII, SLOPES
 from tacgen.optics.table import load_table, save_table
@@ -67,37 +68,59 @@ def with_skirt(tmp_path, width):
 @pytest.mark.slow
 def test_single_sensors_and_batches_draw_a_tables_skirt(tmp_path):
     ball = trimesh.creation.icosphere(subdivisions=4, radius=4.0)
-    own = Sensor("gelsight_mini").render(ball, np.eye(4), 3.0)
-    same = Sensor("gelsight_mini", with_skirt(tmp_path, 1.0)).render(ball, np.eye(4), 3.0)
-    np.testing.assert_array_equal(same.rgb, own.rgb)
+    narrow = Sensor("gelsight_mini", with_skirt(tmp_path, 1.0)).render(ball, np.eye(4), 3.0)
     path = with_skirt(tmp_path, 3.0)
     wide = Sensor("gelsight_mini", path).render(ball, np.eye(4), 3.0)
-    np.testing.assert_array_equal(wide.depth_mm, own.depth_mm)  # the skirt alone is wider
+    np.testing.assert_array_equal(wide.depth_mm, narrow.depth_mm)  # the skirt alone is wider
     rest = Sensor("gelsight_mini").at_rest_rgb().astype(int)
-    changed = [(np.abs(one.rgb - rest).max(axis=2) > 5).sum() for one in (own, wide)]
+    changed = [(np.abs(one.rgb - rest).max(axis=2) > 5).sum() for one in (narrow, wide)]
     assert changed[1] > 1.2 * changed[0]
     batch = BatchSensor("gelsight_mini", 1, "cpu", table=path)
     out = batch.render_meshes([batch.add_mesh(ball)], np.eye(4)[None], [3.0])
     np.testing.assert_array_equal(out.rgb[0], wide.rgb)
 
 
+@pytest.mark.parametrize("name", ["gelsight", "digit", "gelsight_mini"])
+def test_shipped_tables_carry_the_skirt_of_their_own_presses(name):
+    table = load_table(Sensor(name).description.table)
+    assert table.effects == table_with_skirt(replace(table, effects={})).effects
+    assert table.effects["skirt"]["width"] > 2.0
+
+
 @pytest.mark.parametrize("factor", [1.0, 0.5])
 def test_an_extended_table_carries_the_width_of_the_skirt_that_was_found(factor):
     table = load_table(Sensor("gelsight_mini").description.table)
     shared = {("skirt", name): factor for name in SLOPES}
-    places = np.tile([0.0, 0.0, 1.7], (3, 1)) + np.arange(3)[:, None]
+    places = np.array([[k, k, 1.7] for k in range(3)])
     extended = _extended(table, Model((), {}, shared, places), 1.0, places)
     press = table.provenance["press_model"]
     membrane = Membrane(
         press["decay_mm"], press["sharpness"], tuple((radii, factor) for radii in SKIRT_RADII)
     )
-    width = fitted_width(PressedGel(press["contact_radius_mm"], 2.5, membrane))
+    width = fitted_width(PressedGel(1.7, 2.5, membrane))
     assert extended.effects == {"skirt": {"width": width}}
 
 
-def test_a_reader_says_that_it_does_not_undo_a_tables_effects(tmp_path):
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [1.0, 3.25])
+@pytest.mark.parametrize("radius_mm", [4.0, 8.0])
+def test_a_deep_press_is_read_as_deep_whatever_its_skirt(tmp_path, width, radius_mm):
+    """Slopes that are read too steep on one side do not lower the gel beyond it."""
+    sensor, pose = Sensor("gelsight_mini", with_skirt(tmp_path, width)), np.eye(4)
+    pose[:2, 3] = 1.0, -0.7
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=radius_mm)
+    frame = sensor.render(ball, pose, 6.0)
+    reading = ImageReader(sensor).read(frame.rgb)
+    assert reading.volume_mm3 == pytest.approx(frame.volume_mm3, rel=0.1)
+    assert abs(reading.volume_mm3 - frame.volume_mm3) < reading.volume_stderr_mm3
+
+
+def test_a_reader_names_the_effects_that_it_does_not_undo(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        ImageReader("gelsight_mini")
-    with pytest.warns(UserWarning, match=r"\(skirt\) are drawn, but not taken out .* known depth"):
         ImageReader(Sensor("gelsight_mini", with_skirt(tmp_path, 3.0)))
+    table = load_table(Sensor("gelsight_mini").description.table)
+    effects = {"skirt": {"width": 3.0}, "vignetting": {}}
+    save_table(replace(table, effects=effects), tmp_path / "dark.npz")
+    with pytest.warns(UserWarning, match=r"\(vignetting\) are drawn, but not taken .* depth"):
+        ImageReader(Sensor("gelsight_mini", tmp_path / "dark.npz"))

@@ -1,21 +1,34 @@
 """How wide the renderer must draw the skirt around a contact for a ball's to be as measured."""
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
+from tacgen.calibrate.lookup.press_fit import PressModel
 from tacgen.core.types import FloatArray
-from tacgen.diagnose.rules import OPTICS
 from tacgen.optics.deform import Deformer
-from tacgen.optics.effects.skirt import SKIRT
+from tacgen.optics.effects.skirt import SKIRT, SKIRT_RADII
+from tacgen.optics.table import LookupTable
 from tacgen.presses.geometry import PressedGel
 
 GRID_MM = 0.04
 """Of the map on which the renderer's ball is pressed: a fortieth of a contact."""
 WIDTH_STEP = 0.25  # Of three sensors' presses the error hardly changes over a whole width.
-OVERLAPS = np.linspace(1.0, 1.45, 10)
+OVERLAPS, OVERLAP_STEP = (1.0, 1.45), 0.005
 """Radii, in contact radii, at which the ball lies level with the gel at rest: the gel around sinks
 with it, and touches it in a smaller circle."""
+
+
+def with_skirt(table: LookupTable) -> LookupTable:
+    """The table with a skirt as wide as the gel's of the presses that it was fitted to."""
+    learnt, balls_mm = table.provenance["press_model"], table.provenance["ball_radius_mm"]
+    contact_mm, membrane = learnt["contact_radius_mm"], PressModel.from_dict(learnt).membrane
+    width = fitted_width(PressedGel(contact_mm, float(np.mean(balls_mm)), membrane))
+    return replace(table, effects={**table.effects, SKIRT.name: {"width": width}})
 
 
 def fitted_width(pressed: PressedGel) -> float:
@@ -25,14 +38,14 @@ def fitted_width(pressed: PressedGel) -> float:
     the ball is in is fitted along.
     """
     contact, ball = pressed.contact_radius_mm, pressed.ball_radius_mm
-    n = math.ceil(2 * OPTICS.reach_radii * contact / GRID_MM)
+    n = math.ceil(2 * SKIRT_RADII[-1] * contact / GRID_MM)
     x = (np.arange(-n, n + 1) * GRID_MM).astype(np.float64)
     distance = np.sqrt(x**2 + x[:, None] ** 2)
     away = x[n:]
     measured = pressed.radial_slope(away)
-    near = away < OPTICS.reach_radii * contact
+    near = away < SKIRT_RADII[-1] * contact
 
-    def error(width: float, overlap: float) -> float:
+    def error(overlap: float, width: float) -> float:
         level = math.sqrt(max(ball**2 - (overlap * contact) ** 2, 0.0))
         cap = np.sqrt(np.maximum(ball**2 - distance**2, 0.0)) - level
         drawn = _middle_row(np.maximum(cap, 0.0), width)
@@ -41,8 +54,16 @@ def fitted_width(pressed: PressedGel) -> float:
 
     bounds = SKIRT.parameters["width"]
     widths = np.arange(bounds.lower, bounds.upper + 1e-9, WIDTH_STEP)
-    errors = [min(error(float(w), float(one)) for one in OVERLAPS) for w in widths]
-    return float(widths[np.argmin(errors)])
+    by_width = [partial(error, width=width) for width in widths.tolist()]
+    return float(widths[np.argmin([of(fitted_overlap(of)) for of in by_width])])
+
+
+def fitted_overlap(error: Callable[[float], float]) -> float:
+    """Where in ``OVERLAPS`` an error is least."""
+    found = minimize_scalar(
+        error, bounds=OVERLAPS, method="bounded", options={"xatol": OVERLAP_STEP}
+    )
+    return float(found.x)
 
 
 def _middle_row(depth_mm: FloatArray, width: float) -> FloatArray:
