@@ -117,6 +117,11 @@ class ChannelDiagnosis(record.Summarised):
         )
 
 
+_PRESS_NEXT = {
+    "gain": "log what differs between presses as columns: place, tilt, temperature, sample",
+    "zero": "record a second of rest before each press, or count depths from first contact",
+}
+"""What to measure where a press has a gain or a zero of its own."""
 _LAW_WORDS = {"normal": "V = k_n F_n", "shear": "D = k_s F_s"}
 
 
@@ -209,6 +214,10 @@ def _effect(found: ChannelDiagnosis, chosen: Chosen, term: Term) -> dict[str, An
 def _unexplained(found: ChannelDiagnosis, dependence: Dependence) -> dict[str, Any]:
     """What the residual depends on; with what else explains it, if it was chosen as effects are."""
     reported = _dependence(found, dependence)
+    if dependence.covariate == EACH_PRESS:
+        reported["separating_measurements"] = [
+            words for what, words in _PRESS_NEXT.items() if what in found.own_of_press
+        ]
     for chosen in found.attribution.chosen:
         name = chosen.candidate.name
         if name == dependence.covariate and not chosen.candidate.is_effect:

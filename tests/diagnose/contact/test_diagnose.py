@@ -296,9 +296,14 @@ def test_a_zero_of_each_press_is_told_from_a_gain():
     log = few_columns(columns)
     zero = 0.05 * log["volume_mm3"].max() * np.random.default_rng([3, 7]).normal(size=7)
     log["volume_mm3"] = log["volume_mm3"] + zero[log["trial"]]
-    found = diagnose(log).channels["normal"]
+    diagnosis = diagnose(log)
+    found = diagnosis.channels["normal"]
     assert [one.covariate for one in found.unexplained] == ["press"]
     assert "follows each press (a zero of its own)" in found.sentence
+    (said,) = diagnosis_record(diagnosis)["channels"]["normal"]["unexplained"]
+    assert [one.split(",")[0] for one in said["separating_measurements"]] == [
+        "record a second of rest before each press"
+    ]
 
 
 def test_a_gain_of_each_press_is_seen_in_presses_of_six_samples():
