@@ -242,7 +242,7 @@ def draw_variation(spread: Randomize, rng: np.random.Generator) -> Variation:
     on leaves the draws of the others as they were.
     """
     z = np.clip(rng.standard_normal(11), -_MAX_DEVIATIONS, _MAX_DEVIATIONS)
-    x_mm, y_mm, z_mm = (spread.position_mm * z[7:10]).tolist()
+    x_mm, y_mm, z_mm = (np.array(spread.position_mm) * z[7:10]).tolist()
     return Variation(
         Perturbation(
             friction_factor=float(np.exp(spread.friction_relative * z[0])),

@@ -276,8 +276,10 @@ class Randomize(Section):
     """k_n of the contact law, relative (log-normal)."""
     sensor_gain_relative: NonNegativeFloat = 0.0
     """Gain of the camera, relative (log-normal)."""
-    position_mm: NonNegativeFloat = 0.0
-    """Position of the gripper along each axis."""
+    position_mm: NonNegativeFloat | tuple[NonNegativeFloat, NonNegativeFloat, NonNegativeFloat] = (
+        0.0
+    )
+    """Position of the gripper along each axis, or along x, y and z."""
     yaw_rad: NonNegativeFloat = 0.0
     """Angle of the gripper about z."""
 

@@ -404,7 +404,8 @@ def _describe(source: YamlSource, model: type[BaseModel], details: Any) -> str:
     if kind in UNKNOWN_KEY:
         return source.problem(key_path, unknown_key_text(model, key_path))
     if kind == "missing":
-        return source.problem(details["loc"], "is missing; add it")
+        written = [key for key in details["loc"] if "[" not in str(key)]  # no tag of a union
+        return source.problem(tuple(written), "is missing; add it")
     if kind in ("model_type", "dataclass_type"):
         return source.problem(key_path, f"= {given!r} must hold `key: value` pairs")
     text = problem_text(details)

@@ -32,6 +32,8 @@ from tacgen.dataset.shard import Shard, broken_as_error, open_shard, read_image
 if TYPE_CHECKING:
     from tacgen.dataset.torch_dataset import TorchGrasps
 
+WORLD = ("robot", "physics", "contact", "optics", "randomize")
+"""Sections of a recipe that say what its simulated grasps and pictures are like."""
 TIME_DIGITS = 3  # of a frame's time in s that count
 ROUNDING_S = 1e-6  # by which a frame at the start of the lift may seem later
 _MAX_OPEN = 8  # shards kept open; far below any limit on open files
@@ -171,13 +173,16 @@ class Dataset:
         """What the images of a pad depend on beside the grasps, as plain data.
 
         ``sensor`` (name), ``sensor_sha256`` (of its description), ``table`` (hash), ``pad``,
-        ``markers``, ``shadows``, ``time_s``, the frames' times, and ``until``, where they end; None
-        where it is not known.
+        ``markers``, ``shadows``, ``time_s``, the frames' times, ``until``, where they end, and
+        ``world``, what the recipe says of the simulation and its objects; None where it is not
+        known.
         """
-        optics: dict[str, Any] = {}
+        recipe: dict[str, Any] = {}
         with contextlib.suppress(RecipeError):
-            optics = DatasetFolder(self.root).recipe().get("optics") or {}
+            recipe = DatasetFolder(self.root).recipe()
+        optics = recipe.get("optics") or {}
         return {
+            "world": {name: recipe[name] for name in WORLD if name in recipe} | _objects_of(recipe),
             "sensor": self.sensor,
             "sensor_sha256": self.inputs.get("sensor"),
             "table": self.inputs.get("table"),
@@ -465,3 +470,15 @@ def _plain(value: Any) -> Any:
 def _as_text(values: NDArray[Any]) -> NDArray[Any]:
     is_text = values.dtype.kind == "S"
     return np.char.decode(values, "utf-8", errors="replace") if is_text else values
+
+
+def _objects_of(recipe: Mapping[str, Any]) -> dict[str, Any]:
+    """What a resolved recipe says of its objects themselves, by name."""
+    listed = [one for one in recipe.get("objects") or () if isinstance(one, Mapping)]
+    found = {
+        one.get("dataset_name") or str(one.get("name")): {
+            key: value for key, value in one.items() if key not in ("name", "dataset_name", "grid")
+        }
+        for one in listed
+    }
+    return {"objects": found} if found else {}

@@ -3,7 +3,7 @@
 import itertools
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 from tacgen.core.errors import LearningError, require_known
 from tacgen.core.files import refuse_other_page, write_text
 from tacgen.core.progress import print_status
+from tacgen.core.records import AXES
+from tacgen.dataset.folder import differences
 from tacgen.dataset.real_grasps import FRAME_UNKNOWN
 from tacgen.learning.checkpoint import ModelCard, load_model
-from tacgen.learning.controls import Tested, control_scores, last_force_rule
+from tacgen.learning.controls import Tested, control_scores, last_force_rule, score_of
 from tacgen.learning.device import choose_device, exact_torch
 from tacgen.learning.grasps import (
     CONFIGURATION_DIGITS,
@@ -24,7 +26,7 @@ from tacgen.learning.grasps import (
     RealGraspImages,
     SimulatedGrasps,
 )
-from tacgen.learning.intervals import standardised_gap
+from tacgen.learning.intervals import paired_gain, standardised_gap
 from tacgen.learning.loader import Batches, DecodedInputs
 from tacgen.learning.network_input import (
     ACROSS,
@@ -35,6 +37,7 @@ from tacgen.learning.network_input import (
     resized,
     taken_otherwise,
 )
+from tacgen.learning.parameter_baseline import predicted_by_trees
 from tacgen.learning.predictions import (
     LOOKED_AT,
     Predictions,
@@ -47,8 +50,11 @@ from tacgen.learning.reports import started_from, write_evaluation_report
 from tacgen.learning.run_folder import RunFolder, read_json
 from tacgen.learning.scores import score, tested_on
 from tacgen.learning.splits import unseen_tests
-from tacgen.learning.training_recipe import TrainRecipe
+from tacgen.learning.training_recipe import POOLED, TrainRecipe
 
+MAX_NAMED = 6  # settings that differ from the training's; more are counted
+FORCE_MARGIN = (0.95, 1.05)
+"""Of the training's range of forces: the next step of a grid is further out."""
 MAX_GROUPS = 8
 """Rows of a table of scores by value; more values than that are put into half as many ranges."""
 _AUROC_NOTE = (
@@ -99,10 +105,13 @@ def evaluate(
     unseen, about_unseen = unseen_tests(plan, source, where)
     notes += about_unseen
     notes += _differences(plan, recipe, source, where, across)
+    notes += new_to_the_network(plan, source, where)
     test = _Test(folder, plan, recipe, source, where, choose_device(recipe.training, device), notes)
     with exact_torch(recipe.training.threads):
         predictions, cards, tested = test.predict_all(unseen)
     result = _summary(predictions, cards, source_name, where, notes)
+    if told := predicted_untouched(plan, predictions, list(tested)):
+        result["without_touch"] = compared_with(predictions, told)
     if isinstance(source, SimulatedGrasps):
         if recipe.model.kind == "sequence":
             result["last_force_rule"] = last_force_rule(source, tested)
@@ -132,7 +141,7 @@ def _differences(
     """
     for name in across:
         require_known("--across", name, ACROSS, LearningError)
-    trained = plan["dataset"].get("taken_with", {})
+    trained = _taken_with(plan)
     differing = taken_otherwise(trained, source.taken_with, recipe.model.kind)
     refused = [name for name in differing if name not in across]
     if refused and isinstance(source, SimulatedGrasps):
@@ -146,6 +155,48 @@ def _differences(
         f"{where}: ACROSS {name}: its images were taken with another {name} than the training's"
         for name in differing
     ]
+
+
+def new_to_the_network(plan: Mapping[str, Any], source: GraspSource, where: str) -> list[str]:
+    """A note on what the grasps of a source have that no training grasp had.
+
+    That is another world, as far as both are known, other objects, and forces beyond those of the
+    training, by object. ``plan`` is the run's ``run.json``.
+    """
+    worlds = [taken.get("world") or {} for taken in (_taken_with(plan), source.taken_with)]
+    before, now = _of_both(*worlds)
+    of_objects = _of_both(*(world.get("objects") or {} for world in worlds))
+    for world, objects in zip((before, now), of_objects, strict=True):
+        world["objects"] = objects
+    found = list(differences(before, now))
+    if more := found[MAX_NAMED:]:
+        found[MAX_NAMED:] = [f"{len(more)} more settings"]
+    trained_n: dict[str, list[float]] = {}
+    for model in plan["models"].values():
+        for text in model["configurations"]:
+            name, force_n, *_ = text.rsplit(" ", len(AXES))
+            trained_n.setdefault(name, []).append(float(force_n))
+    for name in source.table.object_names():
+        if name not in trained_n:
+            found.append(f"the object {name}")
+            continue
+        low, high = min(trained_n[name]), max(trained_n[name])
+        force_n = source.table.force_n[source.table.objects == name]
+        n = int(((force_n < FORCE_MARGIN[0] * low) | (force_n > FORCE_MARGIN[1] * high)).sum())
+        if n:
+            beyond = f"outside of {low:g} to {high:g} N"
+            found.append(f"{n} of {len(force_n)} forces of {name}, {beyond}")
+    return [f"{where}: NEW to the network: {'; '.join(found)}"] if found else []
+
+
+def _taken_with(plan: Mapping[str, Any]) -> Mapping[str, Any]:
+    found: Mapping[str, Any] = plan["dataset"].get("taken_with", {})
+    return found
+
+
+def _of_both(one: Mapping[str, Any], other: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The entries of each whose keys the other has too."""
+    return [{k: part[k] for k in one if k in other} for part in (one, other)]
 
 
 def scores_by_value(
@@ -195,13 +246,15 @@ class _Test:
         known = [one for objects in wanted.values() for one in objects]
         names = self.source.table.object_names()
         unknown = [name for name in names if name not in known]
-        if unknown == names:
+        if unknown == names and POOLED in wanted:
+            wanted[POOLED] = names
+        elif unknown == names:
             msg = (
                 f"{self.where}: has grasps of {', '.join(names)}; the models of {self.folder.root} "
                 f"are for {', '.join(known)}; train on the same objects"
             )
             raise LearningError(msg)
-        if unknown:
+        elif unknown:
             self._note(f"NOT tested, since no model is for them: {', '.join(unknown)}")
         found, tested = [], {}
         for name, objects in wanted.items():
@@ -325,6 +378,38 @@ def _summary(
         ],
         "notes": notes,
     }
+
+
+def predicted_untouched(
+    plan: Mapping[str, Any], predictions: Sequence[Predictions], names: Sequence[str]
+) -> list[Predictions]:
+    """What trees predict that know what was commanded alone, of the same grasps.
+
+    They learn from the training grasps of the models ``names``; empty where the run does not tell
+    how these ended.
+    """
+    models = [plan["models"][name] for name in names]
+    if not all(model.get("labels") for model in models):
+        return []
+    return [
+        replace(part, probabilities=predicted_by_trees(model, part.table), frames=())
+        for part, model in zip(predictions, models, strict=True)
+    ]
+
+
+def compared_with(
+    predictions: Sequence[Predictions], told: Sequence[Predictions]
+) -> dict[str, Any]:
+    """The scores of what was ``told`` alone, and the ``gain`` of the networks over it.
+
+    ``gain_interval`` is its 95 % interval, paired on the same grasps.
+    """
+    right = [
+        np.concatenate([(part.probabilities >= 0.5) == (part.table.label == 1) for part in parts])
+        for parts in (predictions, told)
+    ]
+    gain, interval = paired_gain(*right)
+    return {**score_of(told), "gain": gain, "gain_interval": list(interval)}
 
 
 def _distinct_texts(values: NDArray[np.float64], least: int = 4) -> list[str]:

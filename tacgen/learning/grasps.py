@@ -22,6 +22,8 @@ _DTYPES: dict[str, type] = dict.fromkeys(("ids", "objects", "split"), np.str_)
 _DTYPES |= dict.fromkeys(("label", "grasp_frame"), np.int64) | dict.fromkeys(AXES, np.float64)
 EqualRanges = Mapping[str, Mapping[str, Sequence[tuple[float, float]]]]
 """By object and axis the ranges in which the axis changes nothing; see ``twins.py``."""
+COMMANDED = "commanded"
+"""Name of what the robot was told, as an array beside the images; see ``GraspTable.commanded``."""
 MAX_NAMED = 5  # grasps without images that a message names; it counts the others
 
 
@@ -53,13 +55,16 @@ class GraspTable:
     def __len__(self) -> int:
         return len(self.ids)
 
+    def commanded(self) -> NDArray[np.float64]:
+        """The force, place and yaw that the robot was told, (N, 5) in the order of ``AXES``."""
+        return np.stack([getattr(self, axis) for axis in AXES], axis=1)
+
     def configurations(self, equal: EqualRanges | None = None) -> list[str]:
         """A text for each grasp, equal for grasps of the same configuration.
 
         Values in one range of ``equal`` are written as its start.
         """
-        numbers = np.stack([getattr(self, axis) for axis in AXES], axis=1)
-        rounded = np.round(numbers, CONFIGURATION_DIGITS) + 0.0  # no "-0"
+        rounded = np.round(self.commanded(), CONFIGURATION_DIGITS) + 0.0  # no "-0"
         rows = (" ".join(f"{value:g}" for value in row) for row in rounded)
         names = zip(self.objects, rows, strict=True)
         return [configuration_key(f"{name} {row}", equal or {}) for name, row in names]
@@ -133,10 +138,13 @@ class SimulatedGrasps:
         return np.stack([self.dataset.rgb(index, self.pad, int(frame)) for frame in frames])
 
     def touch(self, row: int, frames: Sequence[int], name: str) -> NDArray[np.floating]:
-        """Markers or force field in some frames of one grasp; see ``Dataset.touch``.
+        """What is beside the images in some frames of one grasp; see ``Dataset.touch``.
 
-        Raises ``DatasetError`` if the dataset does not keep them.
+        Of ``COMMANDED`` it is the same in all. Raises ``DatasetError`` if the dataset does not keep
+        it.
         """
+        if name == COMMANDED:
+            return self.table.commanded()[[row] * len(frames)]
         index = int(self._indices[row])
         return np.stack([self.dataset.touch(index, name, self.pad, int(one)) for one in frames])
 
@@ -223,7 +231,9 @@ class RealGraspImages:
         return np.stack([self._read(self._grasps[row].images[frame]) for frame in frames])
 
     def touch(self, row: int, frames: Sequence[int], name: str) -> NDArray[np.floating]:
-        """What a folder of pictures does not have: raises ``LearningError``."""
+        """What was ``COMMANDED``; raises ``LearningError`` of what a folder of pictures lacks."""
+        if name == COMMANDED:
+            return self.table.commanded()[[row] * len(frames)]
         msg = f"{self.folder}: holds images alone, no {name}, which the network also needs"
         raise LearningError(msg)
 

@@ -1,7 +1,7 @@
 """From tactile images to the network's input: choose, resize, subtract, normalise."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -14,18 +14,26 @@ from sklearn.preprocessing import StandardScaler
 from tacgen.core.errors import LearningError
 from tacgen.core.records import Camera, Until
 from tacgen.dataset.real_grasps import FRAME_UNKNOWN
-from tacgen.learning.grasps import GraspSource, frames_until
-from tacgen.learning.training_recipe import Augmentation
+from tacgen.learning.grasps import COMMANDED, GraspSource, frames_until
+from tacgen.learning.training_recipe import Augmentation, BesideImage
 
 MIN_STD = 1e-3  # grey levels; a channel that never changes is not amplified beyond this
 PRESSED_FRACTION = 0.95
 """Share of the change soon after; the simulated moment of grasp is at this share of the force."""
+MIN_RMS = 1e-9  # of a channel beside the image; a number that never changes is not amplified
 MIN_GAIN = 0.1  # of an image against the gel at rest; a darker one shows nothing to amplify
 FAINT_GREY = 1.0  # contrast of the camera's noise at the network's size, which is not amplified
 
 
-ARRAYS = {"markers": "markers_mm", "force_field": "force_field_n"}
-"""The dataset's array of each channel beside the image."""
+TOLD = ("commanded", "object")
+"""The channels beside the image that the robot knows without touching."""
+ARRAYS = {
+    "markers": "markers_mm",
+    "force_field": "force_field_n",
+    "commanded": COMMANDED,
+    "object": "object",
+}
+"""The array of each channel beside the image."""
 ACROSS = ("sensor", "table", "pad", "markers", "shadows", "time_s", "until")
 """In what images may differ from those of the training; see ``Dataset.taken_with``."""
 
@@ -35,12 +43,16 @@ class TouchInput:
     """A channel beside the image: its name in recipes, and the ``shape`` of one frame.
 
     ``scale`` is the root mean square in training of each entry of its last axis, by which it is
-    divided: x and y of markers, shear x, shear y and normal of a force field.
+    divided: x and y of markers, shear x, shear y and normal of a force field. Of what was commanded
+    the mean in training, ``offset``, is subtracted before. ``objects`` are those of the training,
+    of which the channel ``object`` has a 1 for the grasped one, and zeros; none for a new one.
     """
 
-    name: Literal["markers", "force_field"]
+    name: BesideImage
     shape: tuple[int, ...]
     scale: tuple[float, ...] = ()
+    offset: tuple[float, ...] = (0.0,)
+    objects: tuple[str, ...] = ()
 
     @property
     def size(self) -> int:
@@ -159,7 +171,7 @@ def check_source(spec: InputSpec, source: GraspSource, rows: Iterable[int], wher
                 "the sequence network needs two or more; use model.kind: single, or sequences"
             )
     for one in spec.touch:
-        shape = touch_shape(source, one.name)
+        shape = one.shape if one.objects else touch_input(source, one.name).shape
         if shape != one.shape:
             problems.append(
                 f"{where}: its {ARRAYS[one.name]} is of {_by(shape)} a frame, the model was "
@@ -193,24 +205,41 @@ def _by(shape: tuple[int, ...]) -> str:
     return "×".join(map(str, shape))
 
 
-def touch_shape(source: GraspSource, channel: str) -> tuple[int, ...]:
-    """The shape of a channel beside the image in one frame of a source.
+def touch_input(
+    source: GraspSource, channel: BesideImage, objects: Sequence[str] = ()
+) -> TouchInput:
+    """A channel beside the image, of a source and the ``objects`` to train on.
 
     Raises ``TacgenError`` if the source has no such channel.
     """
-    return source.touch(0, [0], ARRAYS[channel]).shape[1:]
+    if channel == "object":
+        return TouchInput(channel, (len(objects),), objects=tuple(objects))
+    return TouchInput(channel, source.touch(0, [0], ARRAYS[channel]).shape[1:])
 
 
 def read_touch(source: GraspSource, row: int, spec: InputSpec) -> list[NDArray[np.float32]]:
     """Each channel beside the image in the frames of ``read_input``, (T, …) of its shape."""
     frames = frames_of(source, row, spec) if spec.touch else []
-    return [source.touch(row, frames, ARRAYS[one.name]).astype(np.float32) for one in spec.touch]
+    return [
+        one_of(one.objects, source.table.objects[row], len(frames))
+        if one.objects
+        else source.touch(row, frames, ARRAYS[one.name]).astype(np.float32)
+        for one in spec.touch
+    ]
+
+
+def one_of(objects: Sequence[str], name: str, n_frames: int) -> NDArray[np.float32]:
+    """A row a frame, (T, n), with a 1 for the object of that name."""
+    return np.tile(np.array([one == name for one in objects], np.float32), (n_frames, 1))
 
 
 def touch_to_network(found: list[NDArray[np.float32]], spec: InputSpec) -> NDArray[np.float32]:
     """The channels of ``read_touch`` as the network's input, (T, n) float32."""
     parts = zip(found, spec.touch, strict=True)
-    scaled = [part / np.asarray(one.scale, np.float32) for part, one in parts]
+    scaled = [
+        (part - np.asarray(one.offset, np.float32)) / np.asarray(one.scale, np.float32)
+        for part, one in parts
+    ]
     return np.concatenate([part.reshape(len(part), -1) for part in scaled], axis=1)
 
 
@@ -218,9 +247,13 @@ def with_touch_scale(spec: InputSpec, inputs: Iterable[list[NDArray[np.float32]]
     """The spec with the scales of the ``inputs``, each as of ``read_touch``."""
     touch = []
     for one, found in zip(spec.touch, zip(*inputs, strict=True), strict=False):
-        squares = [np.square(part.astype(np.float64)).reshape(-1, one.shape[-1]) for part in found]
-        rms = np.sqrt(np.concatenate(squares).mean(axis=0))
-        touch.append(replace(one, scale=tuple(np.where(rms > 0, rms, 1.0).tolist())))
+        values = np.concatenate(
+            [part.astype(np.float64).reshape(-1, one.shape[-1]) for part in found]
+        )
+        if one.name == "commanded":
+            one = replace(one, offset=tuple(values.mean(axis=0).tolist()))
+        rms = np.sqrt(np.square(values - one.offset).mean(axis=0))
+        touch.append(replace(one, scale=tuple(np.where(rms > MIN_RMS, rms, 1.0).tolist())))
     return replace(spec, touch=tuple(touch))
 
 

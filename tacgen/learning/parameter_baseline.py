@@ -74,6 +74,24 @@ def _accuracy(table: GraspTable, axes: list[str], groups: NDArray[np.str_]) -> f
     return float(found.mean())
 
 
+def predicted_by_trees(model: Mapping[str, Any], table: GraspTable) -> NDArray[np.float64]:
+    """Probability of success (N,) by trees that see what was commanded: force, place and yaw.
+
+    ``model`` is one of ``run.json``: they learn from its training grasps, of each object by itself;
+    of a new object from all of them.
+    """
+    told = [text.rsplit(" ", len(AXES)) for text in model["configurations"]]
+    objects = np.array([name for name, *_ in told])
+    known, labels = np.array([row[1:] for row in told], float), np.array(model["labels"])
+    commanded, found = table.commanded(), np.zeros(len(table))
+    for name in table.object_names():
+        asked = table.objects == name
+        own = objects == name if name in objects else np.full(len(objects), fill_value=True)
+        trees = forest().fit(known[own], labels[own])
+        found[asked] = trees.predict_proba(commanded[asked]) @ trees.classes_
+    return found
+
+
 def forest() -> "ExtraTreesClassifier":
     """The trees that learn from figures."""
     from sklearn.ensemble import ExtraTreesClassifier

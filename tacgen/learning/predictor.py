@@ -16,8 +16,15 @@ from tacgen.core.progress import print_status
 from tacgen.core.safe_io import IMAGE_SUFFIXES, read_rgb
 from tacgen.learning.checkpoint import load_model
 from tacgen.learning.device import choose_device, exact_torch
+from tacgen.learning.grasps import COMMANDED
 from tacgen.learning.loader import as_batch
-from tacgen.learning.network_input import ARRAYS, VisionInput, chosen_frames, resized
+from tacgen.learning.network_input import (
+    ARRAYS,
+    VisionInput,
+    chosen_frames,
+    one_of,
+    resized,
+)
 from tacgen.learning.predictions import (
     input_statistics,
     notes_on_images,
@@ -78,9 +85,10 @@ class Predictor:
         ``images`` are N of (H, W, 3) uint8 RGB, one a grasp, of the size that the network was
         trained on; for a sequence network N of (T, H, W, 3), the frames of each grasp in time
         order. ``touch`` holds what the network sees beside them, ``markers_mm`` (M, 2) or
-        ``force_field_n`` (rows, columns, 3) of each image; ``vision`` the camera's images of the
-        same times, of a network that sees both (of one that sees a camera alone, ``images`` are the
-        camera's). Raises ``LearningError`` if they are of another size or type, or missing.
+        ``force_field_n`` (rows, columns, 3) of each image; of each grasp what was ``commanded``,
+        (5,) as in a ``GraspConfig``, or the ``object``'s name; ``vision`` the camera's images of
+        the same times, of a network that sees both (of one that sees a camera alone, ``images`` are
+        the camera's). Raises ``LearningError`` if they are of another size or type, or missing.
         """
         inputs = [self._input(np.asarray(grasp), is_touch=self.spec.sees_touch) for grasp in images]
         if self.spec.vision is not None and self.spec.n_images == 2:
@@ -148,9 +156,13 @@ class Predictor:
                 )
                 raise LearningError(msg)
             for grasp, values, kept in zip(images, touch[name], found, strict=True):
-                frames = np.asarray(values, np.float32)
                 count = 1 if grasp.ndim == 3 else len(grasp)
-                frames = frames[None] if frames.ndim == len(channel.shape) else frames
+                if channel.objects:
+                    frames = one_of(channel.objects, str(values), count)
+                else:
+                    frames = np.asarray(values, np.float32)
+                if frames.ndim == len(channel.shape):
+                    frames = np.repeat(frames[None], count if name == COMMANDED else 1, axis=0)
                 if frames.shape != (count, *channel.shape):
                     msg = f"{name} of a grasp is {frames.shape}, not {(count, *channel.shape)}"
                     raise LearningError(msg)

@@ -77,6 +77,7 @@ class ModelFolder:
 class _Model(BaseModel):
     objects: list[str]
     configurations: list[str]
+    labels: list[int] = Field(default_factory=list)
 
 
 class _Plan(BaseModel):

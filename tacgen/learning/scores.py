@@ -117,6 +117,8 @@ def evaluation_lines(result: Mapping[str, Any]) -> Iterator[str]:
 def beside(result: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     """The scores to compare a network's with, by name: the rule's, and the controls'."""
     found = {f"control, {name}": scores for name, scores in result.get("controls", {}).items()}
+    if "without_touch" in result:
+        found = {"trees that see only what was commanded": result["without_touch"], **found}
     if "last_force_rule" in result:
         rule = "rule: holds unless the last force is below 10 % of that at the grasp"
         return {rule: result["last_force_rule"], **found}

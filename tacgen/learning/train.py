@@ -26,11 +26,10 @@ from tacgen.learning.grasps import (
 from tacgen.learning.loader import Batches, DecodedInputs
 from tacgen.learning.network_input import (
     InputSpec,
-    TouchInput,
     VisionInput,
     check_source,
     resized,
-    touch_shape,
+    touch_input,
     with_normalisation,
     with_touch_scale,
 )
@@ -78,9 +77,9 @@ def train(
         source_shape_px=source.shape_px,
         normalised=options.normalised,
         touch=tuple(
-            TouchInput(name, touch_shape(source, name))
+            touch_input(source, name, recipe.objects or source.table.object_names())
             for name in options.channels
-            if name == "markers" or name == "force_field"
+            if name != "image" and name != "vision" and name != "touch"
         ),
         vision=VisionInput.of(source.camera(options.camera))
         if "vision" in options.channels
@@ -128,17 +127,17 @@ def _run_plan(
 ) -> dict[str, Any]:
     """The identity of this run; a folder with another run is refused."""
     moved = np.flatnonzero((table.split == "test") & (source.table.split == "train"))
-    models = {
-        plan.name: {
+    models = {}
+    for plan in plans:
+        used = table.take(np.concatenate([plan.fit_rows, plan.validation_rows]))
+        known = sorted(zip(used.configurations(), used.label.tolist(), strict=True))
+        models[plan.name] = {
             "objects": list(plan.objects),
             "fit": table.ids[plan.fit_rows].tolist(),
             "validation": table.ids[plan.validation_rows].tolist(),
-            "configurations": sorted(
-                table.take(np.concatenate([plan.fit_rows, plan.validation_rows])).configurations()
-            ),
+            "configurations": [text for text, _ in known],
+            "labels": [label for _, label in known],
         }
-        for plan in plans
-    }
     return {
         "schema": SCHEMA,
         "tacgen_version": __version__,

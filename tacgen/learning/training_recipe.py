@@ -30,7 +30,8 @@ def _input_size(size_px: tuple[int, int]) -> tuple[int, int]:
     return size_px
 
 
-Channel = Literal["image", "vision", "markers", "force_field"]
+BesideImage = Literal["markers", "force_field", "commanded", "object"]
+Channel = Literal["image", "vision", "markers", "force_field", "commanded", "object"]
 CHANNELS: tuple[Channel, ...] = get_args(Channel)
 
 
@@ -59,12 +60,13 @@ class InputOptions(Section):
     pad: PadName | None = None
     """The pad whose images are used; the dataset's first if not given."""
     channels: Annotated[
-        tuple[Literal["touch", "image", "vision", "markers", "force_field"], ...],
+        tuple[Literal["touch", Channel], ...],
         AfterValidator(_with_image),
     ] = ("image",)
     """What the network sees: ``touch`` (or ``image``), the sensor's images; ``vision``, those of a
-    camera, through a ResNet-18 of its own; the ``markers``' motion and the ``force_field``, as far
-    as the dataset keeps them, a small branch each beside."""
+    camera, through a ResNet-18 of its own; and, a small branch each beside: the ``markers``' motion
+    and the ``force_field``, as far as the dataset keeps them, what was ``commanded`` (force, place
+    and yaw), and which ``object`` of the training it is."""
     camera: str | None = None
     """The camera of ``vision``; the dataset's first if not given."""
     size_px: Annotated[tuple[int, int], AfterValidator(_input_size)] = (120, 160)

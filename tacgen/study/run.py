@@ -166,15 +166,22 @@ class _StudyRun:
             recipe = _with_friction(recipe, friction)
         data = self.out / "data" / recipe.sha256()[:12]
         place = self.out / "runs" / run_folder_name(row.name)
-        runs = [(one, place / f"seed_{one.seed}") for one in self.study.seeded(training)]
+        trainings = self.study.seeded(training, quick=self.quick)
+        runs = [(one, place / f"seed_{one.seed}") for one in trainings]
         print_status(f"{row.name}: collecting into {data}")
         collected = collect(recipe, data, workers=self.workers)
+        tested_on = data
+        if row.test is not None:
+            test = self.study.test_recipe(row, quick=self.quick)
+            tested_on = self.out / "data" / test.sha256()[:12]
+            print_status(f"{row.name}: collecting the grasps to test on into {tested_on}")
+            collect(test, tested_on, workers=self.workers)
         result: dict[str, Any] = {
             "name": row.name,
             "published": row.published.model_dump(),
             "objects": [entry.object_name for entry in recipe.objects],
             "kind": training.model.kind,
-            "seeds": self.study.seeds,
+            "seeds": len(trainings),
             "contact_law": recipe.contact.law,
             "input_px": list(training.input.size_px),
             "epochs": training.training.epochs,
@@ -197,15 +204,15 @@ class _StudyRun:
                     name: model["grasps_fit"] + model["grasps_validation"]
                     for name, model in models.items()
                 }
-            result["sim"] = over_seeds([evaluate(run, data=data) for _, run in runs])
+            result["sim"] = over_seeds([evaluate(run, data=tested_on) for _, run in runs])
         except LearningError as error:
             # Such as grasps that all succeed: the other rows are still of use.
             print_status(f"{row.name}: {error}")
             return result | {"problem": str(error)}
         if self.real.test is not None:
             try:
-                tested = [evaluate(run, real=self.real.test) for _, run in runs]
-                result["real"] = over_seeds(tested)
+                on_real = [evaluate(run, real=self.real.test) for _, run in runs]
+                result["real"] = over_seeds(on_real)
             except TacgenError as error:
                 print_status(f"{row.name}: {error}")
                 result["real_problem"] = str(error)
@@ -223,7 +230,9 @@ class _StudyRun:
         data = self.study.data_recipe(row, quick=self.quick).sha256()
         train = self.study.train_recipe(row, quick=self.quick).sha256()
         calibrated = row.calibrate_friction, row.calibrate_contact
-        return sha256_of_content([row.name, data, train, *calibrated, self.study.seeds])
+        seeds = self.study.n_seeds(quick=self.quick)
+        test = [self.study.test_recipe(row, quick=self.quick).sha256()] if row.test else []
+        return sha256_of_content([row.name, data, train, *calibrated, seeds, *test])
 
 
 def _title(name: object, quick: bool) -> str:

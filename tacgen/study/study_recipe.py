@@ -51,10 +51,20 @@ class Row(Variant):
     """Name of the row."""
     published: Published = Published()
     """Accuracies that the paper reports."""
+    test: Variant | None = None
+    """What is other in the grasps to test on than in those to train on: ``objects`` and parts of
+    ``data``; the row's own test grasps if not given."""
     calibrate_friction: bool = False
     """Fit μ to real grasps (``--calibrate-on``) before collecting."""
     calibrate_contact: bool = False
     """Use the contact law of the real sensor (``--contact``)."""
+
+
+class Quick(Variant):
+    """Changes to all rows with ``--quick``."""
+
+    seeds: Annotated[int, Field(ge=1, le=100)] | None = None
+    """Seeds instead of the study's."""
 
 
 class Study(Section):
@@ -74,7 +84,7 @@ class Study(Section):
     """Rows of the table, each with its changes."""
     seeds: Annotated[int, Field(ge=1, le=100)] = 3
     """How many times each row is trained, with the seed of ``train`` and those after it."""
-    quick: Variant = Variant()
+    quick: Quick = Quick()
     """Changes to all rows with ``--quick``."""
     notes: tuple[str, ...] = ()
     """Sentences below the table."""
@@ -88,14 +98,28 @@ class Study(Section):
         merged = self._merged(self.data, row.data, self.quick.data if quick else {})
         return Recipe.model_validate(merged | {"objects": objects})
 
+    def test_recipe(self, row: Row, *, quick: bool) -> Recipe:
+        """The recipe of the dataset that the row is tested on."""
+        if row.test is None:
+            return self.data_recipe(row, quick=quick)
+        changes = {
+            "data": merged_mapping(row.data, row.test.data),
+            "objects": row.test.objects or row.objects,
+        }
+        return self.data_recipe(row.model_copy(update=changes), quick=quick)
+
     def train_recipe(self, row: Row, *, quick: bool) -> TrainRecipe:
         """The training recipe of the row."""
         merged = self._merged(self.train, row.train, self.quick.train if quick else {})
         return TrainRecipe.model_validate(merged)
 
-    def seeded(self, recipe: TrainRecipe) -> list[TrainRecipe]:
+    def n_seeds(self, *, quick: bool) -> int:
+        """How many times each row is trained."""
+        return (self.quick.seeds if quick else None) or self.seeds
+
+    def seeded(self, recipe: TrainRecipe, *, quick: bool) -> list[TrainRecipe]:
         """A training recipe with each of the study's seeds."""
-        seeds = range(recipe.seed, recipe.seed + self.seeds)
+        seeds = range(recipe.seed, recipe.seed + self.n_seeds(quick=quick))
         return [recipe.model_copy(update={"seed": seed}) for seed in seeds]
 
     def _merged(self, *parts: Mapping[str, Any]) -> dict[str, Any]:
@@ -154,6 +178,7 @@ def _sizes(study: Study, row: Row, *, quick: bool) -> dict[str, str]:
         "training grasps": str(train.training.grasps or "all"),
         "input": f"{width}×{height} px",
         "epochs": str(train.training.epochs),
+        "seeds": str(study.n_seeds(quick=quick)),
     }
 
 
@@ -194,7 +219,11 @@ def _name_problems(study: Study, source: YamlSource) -> Iterator[str]:
 
 def _row_problems(study: Study, source: YamlSource) -> Iterator[str]:
     makers: list[tuple[type[BaseModel], Callable[..., BaseModel]]]
-    makers = [(Recipe, study.data_recipe), (TrainRecipe, study.train_recipe)]
+    makers = [
+        (Recipe, study.data_recipe),
+        (Recipe, study.test_recipe),
+        (TrainRecipe, study.train_recipe),
+    ]
     for (i, row), (model, make), quick in product(enumerate(study.rows), makers, (False, True)):
         try:
             make(row, quick=quick)

@@ -22,7 +22,9 @@ from tacgen.learning.grasps import SimulatedGrasps  # noqa: E402
 from tacgen.learning.network_input import (  # noqa: E402
     InputSpec,
     TouchInput,
+    one_of,
     read_touch,
+    touch_input,
     touch_to_network,
     with_touch_scale,
 )
@@ -180,3 +182,72 @@ def test_a_folder_of_pictures_and_the_command_say_what_they_lack(run, data, tmp_
     result = CliRunner().invoke(app, ["predict", str(run), str(image)])
     assert isinstance(result.exception, LearningError)
     assert "also sees markers_mm" in str(result.exception)
+
+
+def by_command(index, spec):
+    """A grasp whose images tell nothing: which object and what force it was decide its outcome."""
+    sample = only_by_touch(index, spec)
+    if not sample.pads:
+        return sample
+    firm = (sample.config.force_n > 6.5) == (sample.config.object == "can")
+    mode = "" if firm else "translational_slip"
+    return replace(sample, label=int(firm), failure_mode=mode)
+
+
+@pytest.fixture(scope="module")
+def commanded(tmp_path_factory):
+    spec = make_spec(120, **TOUCH)
+    return collect(tmp_path_factory.mktemp("told") / "data", spec, by_command)
+
+
+def test_what_was_commanded_is_centred_and_scaled_and_the_object_is_one_of_the_training_s(
+    commanded,
+):
+    source = SimulatedGrasps(commanded)
+    names = source.table.object_names()
+    touch = (touch_input(source, "commanded"), touch_input(source, "object", names))
+    spec = replace(spec_of(), touch=touch)
+    found = [read_touch(source, row, spec) for row in range(len(source.table))]
+    np.testing.assert_array_equal([one[0][0] for one in found], source.table.commanded())
+    spec = with_touch_scale(spec, found)
+    inputs = np.concatenate([touch_to_network(one, spec) for one in found])
+    assert inputs.shape == (len(source.table), 5 + 2)
+    np.testing.assert_allclose(inputs[:, :5].mean(axis=0), 0.0, atol=1e-5)
+    varies = source.table.commanded().std(axis=0) > 0
+    np.testing.assert_allclose(inputs[:, :5].std(axis=0), varies, atol=1e-5)
+    is_can = source.table.objects == "can"
+    assert np.ptp(inputs[is_can, 5]) == 0.0
+    assert (inputs[is_can, 5] > 0).all()
+    assert (inputs[is_can, 6] == 0).all()
+
+
+def test_a_new_object_is_none_of_the_training_s():
+    np.testing.assert_array_equal(one_of(("can", "cup"), "mug", 3), np.zeros((3, 2)))
+    np.testing.assert_array_equal(one_of(("can", "cup"), "cup", 2), [[0, 1], [0, 1]])
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("small_backbone")
+@pytest.mark.parametrize("kind", ["single", "sequence"])
+def test_a_network_learns_from_what_was_commanded_and_the_predictor_takes_it(
+    kind, commanded, tmp_path
+):
+    channels = ["touch", "commanded", "object"]
+    training = {"epochs": 30, "learning_rate": 3e-3}
+    recipe = recipe_of(kind, input={"channels": channels, "until": "outcome"}, training=training)
+    train(recipe, commanded, tmp_path / "run")
+    result = evaluate(tmp_path / "run", data=commanded)
+    assert result["accuracy"] >= 0.9
+    assert result["without_touch"]["accuracy"] >= 0.9
+    source = SimulatedGrasps(commanded)
+    rows = np.flatnonzero(source.table.split == "test")
+    frames = [range(3) if kind == "sequence" else [int(source.table.grasp_frame[k])] for k in rows]
+    images = [source.frames(int(k), one) for k, one in zip(rows, frames, strict=True)]
+    touch = {
+        "commanded": list(source.table.commanded()[rows]),
+        "object": source.table.objects[rows].tolist(),
+    }
+    given = images if kind == "sequence" else [one[0] for one in images]
+    found = tacgen.Predictor(tmp_path / "run").predict(given, touch)
+    wrong = ((found >= 0.5) != (source.table.label[rows] == 1)).sum()
+    assert wrong == len(result["misclassified"])

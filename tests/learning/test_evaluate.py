@@ -17,7 +17,8 @@ from tacgen.core.records import Sensor
 from tacgen.dataset import Dataset
 from tacgen.dataset.export import export_dataset
 from tacgen.dataset.input_hashes import Inputs
-from tacgen.learning.evaluate import evaluate, scores_by_value
+from tacgen.learning.evaluate import evaluate, new_to_the_network, scores_by_value
+from tacgen.learning.grasps import SimulatedGrasps
 from tacgen.learning.train import train
 from tests.learning.conftest import collect, make_sample, make_spec, recipe_of, write_real
 from tests.learning.test_train import FASTER
@@ -348,3 +349,51 @@ def test_sequences_over_another_time_are_refused(sequence, single, tmp_path):
     with refused(LearningError):
         evaluate(sequence, data=data)
     assert evaluate(single, data=data)["notes"] == []
+
+
+def test_what_the_training_never_had_is_named(single, toy, tmp_path):
+    """Another engine, other friction of one object and forces far above the training's."""
+    plan = json.loads((single / "run.json").read_text())
+    assert new_to_the_network(plan, SimulatedGrasps(toy), "toy") == []
+    trained = {"physics": {"engine": "pybullet"}, "objects": {"can": {"friction": 0.3}}}
+    plan["dataset"]["taken_with"]["world"] = trained
+
+    def firmer(index, spec):
+        sample = make_sample(index, spec)
+        force_n = 40.0 if sample.config.object == "can" else sample.config.force_n
+        return replace(sample, config=replace(sample.config, force_n=force_n))
+
+    source = SimulatedGrasps(collect(tmp_path / "data", make_spec(), firmer))
+    objects = {"can": {"friction": 0.5}, "cup": {"friction": 0.2}}
+    source.taken_with = {"world": {"physics": {"engine": "mujoco"}, "objects": objects}}
+    n_cans = (source.table.objects == "can").sum()
+    (note,) = new_to_the_network(plan, source, "data")
+    assert note == (
+        'data: NEW to the network: physics.engine: "pybullet" there, "mujoco" now; '
+        "objects.can.friction: 0.3 there, 0.5 now; "
+        f"{n_cans} of {n_cans} forces of can, outside of 4 to 10 N"
+    )
+
+
+def test_one_network_for_all_objects_is_tested_on_new_ones_alone(sequence, single, tmp_path):
+    recipe = {"name": "toy", "seed": 3, "objects": ["mug", "jar"]}
+    data = collect(tmp_path / "data", make_spec(recipe=recipe))
+    result = evaluate(sequence, data=data)
+    assert set(result["by_object"]) == {"jar", "mug"}
+    assert "NEW to the network: the object jar; the object mug" in " ".join(result["notes"])
+    assert result["without_touch"]["n"] == result["n"]
+    with refused(LearningError):
+        evaluate(single, data=data)
+
+
+def test_networks_are_compared_with_what_was_commanded_on_the_same_grasps(run, toy):
+    result = evaluate(run, data=toy)
+    told = result["without_touch"]
+    assert told["n"] == result["n"]
+    assert told["gain"] == pytest.approx(result["accuracy"] - told["accuracy"])
+    assert told["gain_interval"][0] < told["gain"] < told["gain_interval"][1]
+    plan = json.loads((run / "run.json").read_text())
+    for model in plan["models"].values():
+        del model["labels"]  # of an earlier version
+    (run / "run.json").write_text(json.dumps(plan))
+    assert "without_touch" not in evaluate(run, data=toy)

@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest, t
 
-from tacgen.learning.intervals import interval_over_seeds, over_seeds, standardised_gap
+from tacgen.learning.intervals import (
+    interval_over_seeds,
+    over_seeds,
+    paired_gain,
+    standardised_gap,
+)
 from tacgen.learning.scores import wilson_interval
 
 
@@ -86,3 +91,50 @@ def test_the_results_of_seeds_become_one():
     low, high = wilson_interval(18, 20)
     assert found["accuracy_interval"][0] < low
     assert found["accuracy_interval"][1] >= high
+
+
+def test_a_paired_gain_is_agresti_and_mins():
+    """Of 100 grasps one alone is right of 20, the other of 8: by hand."""
+    right = np.repeat([True, False, True, False], [60, 12, 20, 8])
+    other = np.repeat([True, False, False, True], [60, 12, 20, 8])
+    gain, interval = paired_gain(right, other)
+    assert gain == pytest.approx(0.12)
+    half = 1.959964 * np.sqrt(29 - 12**2 / 102) / 102
+    assert interval == pytest.approx((12 / 102 - half, 12 / 102 + half))
+
+
+def test_a_paired_gain_never_shrinks_to_a_point():
+    always = np.ones(50, bool)
+    gain, (low, high) = paired_gain(always, always)
+    assert gain == 0.0
+    assert low == pytest.approx(-high)
+    assert 0.02 < high < 0.06
+
+
+@pytest.mark.parametrize("difference", [0.0, 0.1])
+def test_the_paired_interval_holds_the_truth_as_often_as_it_says(difference):
+    rng = np.random.default_rng(2)
+    both, one = 0.7, 0.1 + difference
+    held = 0
+    for _ in range(2000):
+        kinds = rng.choice(4, 80, p=[both, one, 0.1, 1 - both - one - 0.1])
+        low, high = paired_gain(np.isin(kinds, (0, 1)), np.isin(kinds, (0, 2)))[1]
+        held += low <= difference <= high
+    assert 0.93 < held / 2000 < 0.985
+
+
+def test_the_gain_over_seeds_holds_for_other_seeds_too():
+    def result(accuracy, gain):
+        told = {
+            "accuracy": 0.8,
+            "n": 100,
+            "gain": gain,
+            "gain_interval": [gain - 0.05, gain + 0.05],
+        }
+        return {"accuracy": accuracy, "n": 100, "by_object": {}, "without_touch": told}
+
+    found = over_seeds([result(0.9, 0.1), result(0.92, 0.12), result(0.88, 0.08)])["without_touch"]
+    assert found["gain"] == pytest.approx(0.1)
+    of_seeds = t.ppf(0.975, 2) * 0.02 / np.sqrt(3)
+    half = np.hypot(0.05, of_seeds)
+    assert found["gain_interval"] == pytest.approx([0.1 - half, 0.1 + half])

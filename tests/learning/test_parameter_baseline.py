@@ -9,7 +9,7 @@ import pytest
 
 from tacgen import cli
 from tacgen.learning.grasps import GraspTable
-from tacgen.learning.parameter_baseline import baseline_lines, baseline_scores
+from tacgen.learning.parameter_baseline import baseline_lines, baseline_scores, predicted_by_trees
 
 AXES_SEEN = ("force_n", "y_mm", "z_mm")
 
@@ -88,3 +88,30 @@ def test_the_command_reports_each_object(toy, capsys, monkeypatch):
     scores = json.loads(capsys.readouterr().out)
     assert sorted(scores) == ["can", "cup"]
     assert all(one["n"] >= one["successes"] > 0 for one in scores.values())
+
+
+def model_of(*tables: GraspTable) -> dict[str, list]:
+    """What ``run.json`` keeps of the training grasps."""
+    return {
+        "configurations": [text for table in tables for text in table.configurations()],
+        "labels": [int(label) for table in tables for label in table.label],
+    }
+
+
+def test_trees_know_each_object_of_the_training_and_of_a_new_one_what_all_have_in_common():
+    """The can slips below 10 N, the cup above 10 N: together force tells nothing of a mug."""
+    can = table_of(lambda f, y, z, rng: f > 10)
+    cup = replace(can, objects=np.full(150, "cup"), label=1 - can.label)
+    model = model_of(can, cup)
+    for table in (can, cup):
+        found = predicted_by_trees(model, table)
+        assert ((found >= 0.5) == (table.label == 1)).all()
+    mug = predicted_by_trees(model, replace(can, objects=np.full(150, "mug")))
+    assert mug == pytest.approx(np.full(150, 0.5), abs=0.3)
+    alone = predicted_by_trees(model_of(can), replace(can, objects=np.full(150, "mug")))
+    assert ((alone >= 0.5) == (can.label == 1)).all()
+
+
+def test_of_an_object_that_always_held_trees_say_that_it_will():
+    table = table_of(lambda f, y, z, rng: np.ones_like(f))
+    assert predicted_by_trees(model_of(table), table) == pytest.approx(np.ones(150))

@@ -23,13 +23,16 @@ from tacgen.physics import FrameRequest, GraspSimulator, run_grasp
 from tacgen.physics.rest import topples_deg
 from tacgen.study.real_data import RealData
 from tacgen.study.run import check_finished, run_study
-from tacgen.study.study_recipe import load_study, run_folder_name, with_rows
+from tacgen.study.study_recipe import load_study, reductions, run_folder_name, with_rows
 from tests.learning.conftest import collect, make_spec, write_real
 from tests.messages import refused
 from tests.small_world import SHORT_LIFT
 from tests.study.conftest import small_study
 
-SHIPPED = sorted(packaged("recipes").glob("paper*.yaml"))
+SHIPPED = [
+    *sorted(packaged("recipes").glob("paper*.yaml")),
+    packaged("recipes/what_touch_adds.yaml"),
+]
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
@@ -103,8 +106,8 @@ def test_the_second_world_grasps_the_same_objects_over_the_same_ranges_elsewhere
 def test_a_row_is_trained_with_three_seeds_unless_the_study_says_otherwise(tmp_path):
     study = load_study("paper_table")
     recipe = study.train_recipe(study.rows[0], quick=True)
-    assert [one.seed for one in study.seeded(recipe)] == [0, 1, 2]
-    assert len(load_study(small_study(tmp_path)).seeded(recipe)) == 1
+    assert [one.seed for one in study.seeded(recipe, quick=False)] == [0, 1, 2]
+    assert len(load_study(small_study(tmp_path)).seeded(recipe, quick=True)) == 1
 
 
 def test_every_mistake_of_a_study_is_told(tmp_path):
@@ -273,3 +276,58 @@ def test_a_calibrated_contact_law_must_be_given(tmp_path, toy_collect, no_networ
     result = run_study(study, tmp_path / "out", given)
     assert [row["contact_file"] for row in result["rows"]] == [str(given.contact), None]
     assert f"contact law from {given.contact}" in (tmp_path / "out" / "table.md").read_text()
+
+
+def test_a_row_may_be_tested_on_other_grasps_than_it_is_trained_on(
+    tmp_path, monkeypatch, no_networks
+):
+    path = small_study(tmp_path, ", test: {objects: [mug], data: {grid: {sample: 7}}}")
+    study, seen = load_study(path), []
+    row, other = study.rows
+    recipe = study.test_recipe(row, quick=False)
+    assert ([one.name for one in recipe.objects], recipe.grid.sample) == (["mug"], 7)
+    assert study.test_recipe(other, quick=False) == study.data_recipe(other, quick=False)
+
+    def evaluate(run, data):
+        seen.append(data)
+        scores = {"accuracy": 0.9, "accuracy_interval": [0.8, 0.95], "n": 12}
+        told = {"accuracy": 0.8, "auroc": 0.85, "ece": 0.1, "n": 12}
+        gain = {"gain": 0.1, "gain_interval": [-0.1, 0.3]}
+        full = {**scores, "auroc": 0.95, "ece": 0.05, "without_touch": told | gain}
+        return {**full, "data": str(data), "real_is_simulated": False, "by_object": {"mug": scores}}
+
+    monkeypatch.setattr("tacgen.study.run.evaluate", evaluate)
+    result = run_study(study, tmp_path / "out", RealData())
+    trained_on = tmp_path / "out/data" / study.data_recipe(row, quick=False).sha256()[:12]
+    assert seen == [tmp_path / "out/data" / recipe.sha256()[:12], trained_on]
+    assert len({one["settings_sha256"] for one in result["rows"]}) == 2
+    text = (tmp_path / "out/table.md").read_text()
+    figures = "0.900 / 0.950 / 0.050 | 0.800 / 0.850 / 0.100 | +0.100 [-0.100, +0.300] | 0.50"
+    assert f"| single image | {figures} |" in text
+
+
+def test_a_reduced_study_may_have_fewer_seeds(tmp_path):
+    path = small_study(tmp_path, quick="{seeds: 1}")
+    path.write_text(path.read_text().replace("seeds: 1\ntrain", "seeds: 4\ntrain"))
+    study = load_study(path)
+    assert [study.n_seeds(quick=quick) for quick in (False, True)] == [4, 1]
+    assert "seeds: 1 instead of 4" in reductions(study, study.rows)
+
+
+def test_what_touch_adds_is_asked_of_four_worlds_with_all_else_the_same():
+    study = load_study("what_touch_adds")
+    recipes = [study.data_recipe(row, quick=False) for row in study.rows]
+    spreads = [recipe.randomize.model_dump(exclude_defaults=True) for recipe in recipes[::4]]
+    pose = {"position_mm": (8.0, 8.0, 0.0), "yaw_rad": 0.262}
+    assert spreads == [{}, {}, pose, {"friction_relative": 0.4, "center_of_mass_mm": 10.0}]
+    assert len({recipe.sha256() for recipe in recipes}) == 3
+    known = {one.name for one in recipes[0].objects}
+    for row in study.rows:
+        new = {one.name for one in study.test_recipe(row, quick=False).objects} - known
+        assert len(new) == (6 if row.name.startswith("object unknown") else 0)
+    trained = [study.train_recipe(row, quick=False).input.channels for row in study.rows]
+    assert trained[3::4] == [
+        ("image", "commanded", "object"),
+        ("image", "commanded"),
+        *[("image", "commanded", "object")] * 2,
+    ]
