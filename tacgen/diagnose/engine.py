@@ -120,7 +120,8 @@ def step(problem: Problem[C, S], current: S) -> Step[S]:
     ends = [*(levels[0] if levels else ()), *path, *(swapped(problem, end) for end in path[-1:])]
     least = problem.score(current) - problem.least_lead(current)
     found = first_accepted(problem, ends, least)
-    found = found or first_accepted(problem, [swapped(problem, current)], least)
+    if found is None and (exchanged := swapped(problem, current)) is not current:
+        found = first_accepted(problem, [exchanged], least)
     tried = tuple(levels[0] if levels else ())
     return Step(current, tried, found or problem.elsewhere(current))
 

@@ -115,7 +115,7 @@ def test_a_press_as_background_is_stated(taken, shape, force_n):
         # It is found on pictures 80 px wide: to half a pixel of those.
         x = int(message.split("a press, at (")[1].split(",")[0])
         assert abs(x - (width - 1) / 2) <= width / 80 / 2
-    assert "press" not in ImageReader(sensor, rest).read(press).message
+    assert "show a press" not in ImageReader(sensor, rest).read(press).message
 
 
 @pytest.mark.slow

@@ -252,7 +252,8 @@ def test_adding_reports_how_well_the_collision_shape_follows_the_surface():
     assert any("(1 convex) within 0.0" in note and "° of the surface" in note for note in notes)
     ball = trimesh.creation.icosphere(subdivisions=5, radius=25.0)
     notes = add_object(exported(ball, "ball.stl"), MeshFacts(0.3)).notes
-    assert any("(1 convex) within 0.00 mm along x, 0.3 mm" in note for note in notes)
+    # How far across depends on the place that is suggested; a ball's facets are up to 0.3 mm off.
+    assert any(re.search(r"\(1 convex\) within 0\.00 mm along x, 0\.[0-3] mm", n) for n in notes)
     egg = ball.apply_scale((1.0, 1.0, 1.2))
     notes = add_object(exported(egg, "egg.stl"), MeshFacts(0.3)).notes
     assert any("of the surface, more than 0.6 mm" in note for note in notes)
