@@ -17,7 +17,7 @@ from tacgen.physics.robots import RobotSpec
 from tests.messages import refused
 
 AXIS = TypeAdapter(Axis)
-OTHER_KINDS = ("rig", "train", "paper")
+OTHER_KINDS = ("rig", "train", "paper", "what")
 SHIPPED = sorted(
     path for path in packaged("recipes").glob("*.yaml") if not path.stem.startswith(OTHER_KINDS)
 )

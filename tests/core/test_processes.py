@@ -334,3 +334,13 @@ def test_mapped_processes_end_with_a_killed_command(method, tmp_path):
     while any(Path(f"/proc/{child}/cmdline").exists() for child in found):
         assert time.monotonic() < deadline, "orphans"
         time.sleep(0.05)
+
+
+def test_a_worker_whose_orders_were_cut_off_says_nothing():
+    program = (
+        "import tacgen.core.end_quietly, pickle, sys\n"
+        "for kind in (pickle.UnpicklingError, EOFError, ValueError):\n"
+        "    sys.excepthook(kind, kind('said'), None)\n"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert ended.stderr == "ValueError: said\n"

@@ -185,11 +185,11 @@ def test_a_folder_of_pictures_and_the_command_say_what_they_lack(run, data, tmp_
 
 
 def by_command(index, spec):
-    """A grasp whose images tell nothing: which object and what force it was decide its outcome."""
+    """A grasp whose images tell nothing: the force that was commanded decides its outcome."""
     sample = only_by_touch(index, spec)
     if not sample.pads:
         return sample
-    firm = (sample.config.force_n > 6.5) == (sample.config.object == "can")
+    firm = sample.config.force_n > 6.5
     mode = "" if firm else "translational_slip"
     return replace(sample, label=int(firm), failure_mode=mode)
 
@@ -237,7 +237,7 @@ def test_a_network_learns_from_what_was_commanded_and_the_predictor_takes_it(
     recipe = recipe_of(kind, input={"channels": channels, "until": "outcome"}, training=training)
     train(recipe, commanded, tmp_path / "run")
     result = evaluate(tmp_path / "run", data=commanded)
-    assert result["accuracy"] >= 0.9
+    assert result["accuracy"] >= 0.8  # of 40 grasps; by chance once in 10 000 times
     assert result["without_touch"]["accuracy"] >= 0.9
     source = SimulatedGrasps(commanded)
     rows = np.flatnonzero(source.table.split == "test")
