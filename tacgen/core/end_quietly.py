@@ -14,7 +14,8 @@ from types import TracebackType
 def _unless_cut_off(
     kind: type[BaseException], error: BaseException, trace: TracebackType | None
 ) -> None:
-    if not issubclass(kind, (EOFError, pickle.UnpicklingError)):
+    is_cut_off = isinstance(error, pickle.UnpicklingError) and "truncated" in str(error)
+    if not (is_cut_off or isinstance(error, EOFError)):
         sys.__excepthook__(kind, error, trace)
 
 

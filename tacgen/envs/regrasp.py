@@ -33,7 +33,7 @@ from tacgen.core.progress import LOG, print_status, progress_counter
 from tacgen.core.records import LABEL_SUCCESS, GraspTrace, rng_of
 from tacgen.dataset.reader import ROUNDING_S, TIME_DIGITS
 from tacgen.dataset.samples import PadSample, frame_times_s
-from tacgen.learning.network_input import ARRAYS, TOLD, InputSpec, taken_otherwise
+from tacgen.learning.network_input import ARRAYS, WITHOUT_TOUCH, InputSpec, taken_otherwise
 from tacgen.learning.predictor import Predictor
 from tacgen.learning.run_folder import RunFolder
 from tacgen.learning.scores import wilson_interval
@@ -253,7 +253,7 @@ class Question:
                 f"recipe {recipe.name}; collect its dataset with the recipe's sensor, optics and "
                 "frames"
             )
-        beside = {"vision", *TOLD}.intersection(trained.input.channels)
+        beside = {"vision", *WITHOUT_TOUCH}.intersection(trained.input.channels)
         if beside:
             problems.append(
                 f"{run}: its network sees {', '.join(sorted(beside))}, and looks before a lift are "

@@ -110,8 +110,8 @@ def evaluate(
     with exact_torch(recipe.training.threads):
         predictions, cards, tested = test.predict_all(unseen)
     result = _summary(predictions, cards, source_name, where, notes)
-    if told := predicted_untouched(plan, predictions, list(tested)):
-        result["without_touch"] = compared_with(predictions, told)
+    if baseline := baseline_predictions(plan, predictions, list(tested)):
+        result["without_touch"] = compared_with(predictions, baseline)
     if isinstance(source, SimulatedGrasps):
         if recipe.model.kind == "sequence":
             result["last_force_rule"] = last_force_rule(source, tested)
@@ -380,7 +380,7 @@ def _summary(
     }
 
 
-def predicted_untouched(
+def baseline_predictions(
     plan: Mapping[str, Any], predictions: Sequence[Predictions], names: Sequence[str]
 ) -> list[Predictions]:
     """What trees predict that know what was commanded alone, of the same grasps.
@@ -398,18 +398,18 @@ def predicted_untouched(
 
 
 def compared_with(
-    predictions: Sequence[Predictions], told: Sequence[Predictions]
+    predictions: Sequence[Predictions], baseline: Sequence[Predictions]
 ) -> dict[str, Any]:
-    """The scores of what was ``told`` alone, and the ``gain`` of the networks over it.
+    """The scores of a ``baseline``, and the ``gain`` of the networks over it.
 
     ``gain_interval`` is its 95 % interval, paired on the same grasps.
     """
     right = [
         np.concatenate([(part.probabilities >= 0.5) == (part.table.label == 1) for part in parts])
-        for parts in (predictions, told)
+        for parts in (predictions, baseline)
     ]
     gain, interval = paired_gain(*right)
-    return {**score_of(told), "gain": gain, "gain_interval": list(interval)}
+    return {**score_of(baseline), "gain": gain, "gain_interval": list(interval)}
 
 
 def _distinct_texts(values: NDArray[np.float64], least: int = 4) -> list[str]:

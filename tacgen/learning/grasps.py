@@ -23,7 +23,7 @@ _DTYPES |= dict.fromkeys(("label", "grasp_frame"), np.int64) | dict.fromkeys(AXE
 EqualRanges = Mapping[str, Mapping[str, Sequence[tuple[float, float]]]]
 """By object and axis the ranges in which the axis changes nothing; see ``twins.py``."""
 COMMANDED = "commanded"
-"""Name of what the robot was told, as an array beside the images; see ``GraspTable.commanded``."""
+"""Name of what was commanded, as an array beside the images; see ``GraspTable.commanded``."""
 MAX_NAMED = 5  # grasps without images that a message names; it counts the others
 
 
@@ -56,7 +56,7 @@ class GraspTable:
         return len(self.ids)
 
     def commanded(self) -> NDArray[np.float64]:
-        """The force, place and yaw that the robot was told, (N, 5) in the order of ``AXES``."""
+        """The force, place and yaw that were commanded, (N, 5) in the order of ``AXES``."""
         return np.stack([getattr(self, axis) for axis in AXES], axis=1)
 
     def configurations(self, equal: EqualRanges | None = None) -> list[str]:

@@ -38,11 +38,11 @@ def over_seeds(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return dict(results[0]) | mean_scores(results) | found | {"by_object": parts, "seeds": seeds}
 
 
-def _mean_gain(told: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """The scores of what was told alone, of each seed's training grasps, and the gain over them."""
-    gain = float(np.mean([one["gain"] for one in told]))
-    interval = _widened(told, "gain", "gain_interval")
-    return mean_scores(told) | {"gain": gain, "gain_interval": interval}
+def _mean_gain(by_seed: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The mean scores of trees that see the command alone, and the gain over them, of all seeds."""
+    gain = float(np.mean([one["gain"] for one in by_seed]))
+    interval = _widened(by_seed, "gain", "gain_interval")
+    return mean_scores(by_seed) | {"gain": gain, "gain_interval": interval}
 
 
 def _mean_gap(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

@@ -25,8 +25,8 @@ MIN_GAIN = 0.1  # of an image against the gel at rest; a darker one shows nothin
 FAINT_GREY = 1.0  # contrast of the camera's noise at the network's size, which is not amplified
 
 
-TOLD = ("commanded", "object")
-"""The channels beside the image that the robot knows without touching."""
+WITHOUT_TOUCH = ("commanded", "object")
+"""The channels beside the image that a robot knows without touching."""
 ARRAYS = {
     "markers": "markers_mm",
     "force_field": "force_field_n",

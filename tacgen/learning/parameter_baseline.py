@@ -80,9 +80,9 @@ def predicted_by_trees(model: Mapping[str, Any], table: GraspTable) -> NDArray[n
     ``model`` is one of ``run.json``: they learn from its training grasps, of each object by itself;
     of a new object from all of them.
     """
-    told = [text.rsplit(" ", len(AXES)) for text in model["configurations"]]
-    objects = np.array([name for name, *_ in told])
-    known, labels = np.array([row[1:] for row in told], float), np.array(model["labels"])
+    trained = [text.rsplit(" ", len(AXES)) for text in model["configurations"]]
+    objects = np.array([name for name, *_ in trained])
+    known, labels = np.array([row[1:] for row in trained], float), np.array(model["labels"])
     commanded, found = table.commanded(), np.zeros(len(table))
     for name in table.object_names():
         asked = table.objects == name

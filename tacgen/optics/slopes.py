@@ -27,7 +27,7 @@ SEARCH_PRIOR_GREY = 3.0
 pixels start at a steep slope of like colour, and stay there."""
 LEAST_CHANGE_GREY = 2.0  # over the three colours: what changes less starts from rest
 STDERR_PIXELS = 4000  # of a contact: so many tell its residual to 1 %
-LEAST_OFF_GREY = 6.0
+MOST_OFF_GREY = 6.0
 """A guess that leads so near to a colour is right: what a table does not explain is 3 to 5 on real
 presses. Others are searched for."""
 REFINEMENTS = 3  # of each slope between the grid's nodes
@@ -338,7 +338,7 @@ def _find(
                 if square > LEAST_CHANGE_GREY**2 and is_guessed:
                     guess = slopes[r, k, 0], slopes[r, k, 1]
                     start, off = _refined(grid, steepest, place, color, at_rest, guess, near)
-                    is_found = off < LEAST_OFF_GREY**2
+                    is_found = off < MOST_OFF_GREY**2
                 if square > LEAST_CHANGE_GREY**2 and not is_found:
                     start = at_rest
                     at = _search(grid, lattice, color, square, tile)

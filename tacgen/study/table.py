@@ -9,14 +9,14 @@ from tacgen.learning.reports import started_from
 from tacgen.report.formatting import MISSING
 from tacgen.report.page import table_section, text_section, write_page
 
-UNTOUCHED = (
+BASELINE_HEADS = (
     "variant",
     "accuracy / AUROC / ECE",
     "of trees that see what was commanded alone",
     "gain, 95 % interval",
     "share of what is left",
 )
-"""Heads of the table of what networks add to what the robot was told; ECE: expected calibration
+"""Heads of the table of what networks add to what was commanded; ECE: expected calibration
 error; what is left: the grasps that the trees predict wrong."""
 OTHER_SIMULATION = "other simulation"
 """Name of the column "sim-to-real" where another simulation made the grasps, not a robot."""
@@ -27,14 +27,14 @@ def write_study(result: Mapping[str, Any], out: Path) -> None:
     rows = [_row(row) for row in result["rows"]]
     header = _header(result)
     object_header, object_rows = _by_object(result)
-    untouched = [_beside_untouched(row) for row in result["rows"]]
-    untouched = [cells for cells in untouched if cells]
+    beside = [_beside_baseline(row) for row in result["rows"]]
+    beside = [cells for cells in beside if cells]
     remarks = study_remarks(result)
     parts = [
         f"# {result['study']}",
         result["description"],
         markdown_table(header, rows),
-        *(["## Beside what was commanded", markdown_table(UNTOUCHED, untouched)] * bool(untouched)),
+        *(["## Beside what was commanded", markdown_table(BASELINE_HEADS, beside)] * bool(beside)),
         "## By object",
         markdown_table(object_header, object_rows),
         "\n".join(f"* {text}" for text in remarks),
@@ -42,7 +42,7 @@ def write_study(result: Mapping[str, Any], out: Path) -> None:
     write_text(out / "table.md", "\n\n".join(part for part in parts if part) + "\n")
     sections = (
         table_section("Accuracy", header, rows),
-        *([table_section("Beside what was commanded", UNTOUCHED, untouched)] * bool(untouched)),
+        *([table_section("Beside what was commanded", BASELINE_HEADS, beside)] * bool(beside)),
         table_section("By object", object_header, object_rows),
         text_section("How the figures were made", *remarks),
     )
@@ -55,19 +55,19 @@ def write_study(result: Mapping[str, Any], out: Path) -> None:
     )
 
 
-def _beside_untouched(row: Mapping[str, Any]) -> tuple[object, ...]:
+def _beside_baseline(row: Mapping[str, Any]) -> tuple[object, ...]:
     """The cells of a row about what the network gains over what was commanded; empty if unknown."""
     scores = row.get("sim") or {}
-    told = scores.get("without_touch")
-    if told is None:
+    baseline = scores.get("without_touch")
+    if baseline is None:
         return ()
-    left, (low, high) = 1 - told["accuracy"], told["gain_interval"]
-    share = MISSING if left == 0 else f"{told['gain'] / left:.2f}"
+    left, (low, high) = 1 - baseline["accuracy"], baseline["gain_interval"]
+    share = MISSING if left == 0 else f"{baseline['gain'] / left:.2f}"
     figures = [
         f"{one['accuracy']:.3f} / {_accuracy(one['auroc'])} / {one['ece']:.3f}"
-        for one in (scores, told)
+        for one in (scores, baseline)
     ]
-    return (row["name"], *figures, f"{told['gain']:+.3f} [{low:+.3f}, {high:+.3f}]", share)
+    return (row["name"], *figures, f"{baseline['gain']:+.3f} [{low:+.3f}, {high:+.3f}]", share)
 
 
 def study_remarks(result: Mapping[str, Any]) -> list[str]:

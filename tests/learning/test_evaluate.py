@@ -388,10 +388,10 @@ def test_one_network_for_all_objects_is_tested_on_new_ones_alone(sequence, singl
 
 def test_networks_are_compared_with_what_was_commanded_on_the_same_grasps(run, toy):
     result = evaluate(run, data=toy)
-    told = result["without_touch"]
-    assert told["n"] == result["n"]
-    assert told["gain"] == pytest.approx(result["accuracy"] - told["accuracy"])
-    assert told["gain_interval"][0] < told["gain"] < told["gain_interval"][1]
+    baseline = result["without_touch"]
+    assert baseline["n"] == result["n"]
+    assert baseline["gain"] == pytest.approx(result["accuracy"] - baseline["accuracy"])
+    assert baseline["gain_interval"][0] < baseline["gain"] < baseline["gain_interval"][1]
     plan = json.loads((run / "run.json").read_text())
     for model in plan["models"].values():
         del model["labels"]  # of an earlier version

@@ -125,13 +125,13 @@ def test_the_paired_interval_holds_the_truth_as_often_as_it_says(difference):
 
 def test_the_gain_over_seeds_holds_for_other_seeds_too():
     def result(accuracy, gain):
-        told = {
+        baseline = {
             "accuracy": 0.8,
             "n": 100,
             "gain": gain,
             "gain_interval": [gain - 0.05, gain + 0.05],
         }
-        return {"accuracy": accuracy, "n": 100, "by_object": {}, "without_touch": told}
+        return {"accuracy": accuracy, "n": 100, "by_object": {}, "without_touch": baseline}
 
     found = over_seeds([result(0.9, 0.1), result(0.92, 0.12), result(0.88, 0.08)])["without_touch"]
     assert found["gain"] == pytest.approx(0.1)

@@ -291,9 +291,9 @@ def test_a_row_may_be_tested_on_other_grasps_than_it_is_trained_on(
     def evaluate(run, data):
         seen.append(data)
         scores = {"accuracy": 0.9, "accuracy_interval": [0.8, 0.95], "n": 12}
-        told = {"accuracy": 0.8, "auroc": 0.85, "ece": 0.1, "n": 12}
+        baseline = {"accuracy": 0.8, "auroc": 0.85, "ece": 0.1, "n": 12}
         gain = {"gain": 0.1, "gain_interval": [-0.1, 0.3]}
-        full = {**scores, "auroc": 0.95, "ece": 0.05, "without_touch": told | gain}
+        full = {**scores, "auroc": 0.95, "ece": 0.05, "without_touch": baseline | gain}
         return {**full, "data": str(data), "real_is_simulated": False, "by_object": {"mug": scores}}
 
     monkeypatch.setattr("tacgen.study.run.evaluate", evaluate)

@@ -53,11 +53,11 @@ def main() -> None:
     parser.add_argument("data", type=Path, nargs="+")
     for data in parser.parse_args().data:
         source = SimulatedGrasps(data)
-        told, draws = source.table.commanded(), drawn(source)
-        there = told.copy()
+        commanded, draws = source.table.commanded(), drawn(source)
+        there = commanded.copy()
         there[:, 1:] += draws[:, :4]
         for name, known in (
-            ("commanded", told),
+            ("commanded", commanded),
             ("all that was drawn", np.concatenate([there, draws[:, 4:]], axis=1)),
         ):
             found = by_trees(source, known)
