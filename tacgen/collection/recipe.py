@@ -412,6 +412,7 @@ class Recipe(Section):
         found = self.model_dump(
             mode="json", exclude={"physics": _BELONGS_TO_ROBOT, "cluster": True}
         )
+        found["robot"]["max_force_n"] = self.robot.largest_force_n
         if beside is not None:
             _name_from(beside, found["contact"], "file", self.contact, contact_law_path)
             _name_from(beside, found["grid"], "file", self.grid, _grasp_list_path)
@@ -465,9 +466,7 @@ def load_recipe(name: str | Path) -> Recipe:
         _values_that_need_others,
         _misplaced_cameras,
     )
-    recipe = load_checked(Recipe, name, *checks)
-    robot = recipe.robot.model_copy(update={"max_force_n": recipe.robot.largest_force_n})
-    return recipe.model_copy(update={"robot": robot})
+    return load_checked(Recipe, name, *checks)
 
 
 def known_objects(recipe: Recipe) -> tuple[str, ...]:

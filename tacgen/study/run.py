@@ -165,7 +165,7 @@ class _StudyRun:
             friction = self._fitted_friction(recipe, self.real.calibration)
             recipe = _with_friction(recipe, friction)
         data = self.out / "data" / recipe.sha256()[:12]
-        place = self.out / "runs" / run_folder_name(row.name)
+        place = self.out / "runs" / run_folder_name(self._first_trained_as(row).name)
         trainings = self.study.seeded(training, quick=self.quick)
         runs = [(one, place / f"seed_{one.seed}") for one in trainings]
         print_status(f"{row.name}: collecting into {data}")
@@ -225,14 +225,22 @@ class _StudyRun:
         fits, _ = sweep_friction(recipe, grasps, mu_range(MU_VALUES), folder, workers=self.workers)
         return friction_json(fits)
 
-    def _settings_sha256(self, row: Row) -> str:
-        """A hash of all settings of a row, before anything is calibrated."""
+    def _first_trained_as(self, row: Row) -> Row:
+        """The first row of the study with these networks: rows tested on others share them."""
+        wanted = self._trained_on(row)
+        return next(one for one in self.study.rows if self._trained_on(one) == wanted)
+
+    def _trained_on(self, row: Row) -> tuple[str, str, bool, bool]:
+        """What the networks of a row depend on but their seeds."""
         data = self.study.data_recipe(row, quick=self.quick).sha256()
         train = self.study.train_recipe(row, quick=self.quick).sha256()
-        calibrated = row.calibrate_friction, row.calibrate_contact
+        return data, train, row.calibrate_friction, row.calibrate_contact
+
+    def _settings_sha256(self, row: Row) -> str:
+        """A hash of all settings of a row, before anything is calibrated."""
         seeds = self.study.n_seeds(quick=self.quick)
         test = [self.study.test_recipe(row, quick=self.quick).sha256()] if row.test else []
-        return sha256_of_content([row.name, data, train, *calibrated, seeds, *test])
+        return sha256_of_content([row.name, *self._trained_on(row), seeds, *test])
 
 
 def _title(name: object, quick: bool) -> str:

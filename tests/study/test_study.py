@@ -306,6 +306,28 @@ def test_a_row_may_be_tested_on_other_grasps_than_it_is_trained_on(
     assert f"| single image | {figures} |" in text
 
 
+def test_rows_that_differ_in_what_they_are_tested_on_share_their_networks(tmp_path, no_networks):
+    path = small_study(tmp_path)
+    test = "{objects: [mug]}"
+    path.write_text(
+        path.read_text().replace(
+            "rows:\n", f"rows:\n  - {{name: first}}\n  - {{name: elsewhere, test: {test}}}\n"
+        )
+    )
+    run_study(load_study(path), tmp_path / "out", RealData(), rows=["first", "elsewhere"])
+    assert no_networks == ["first", "first"]
+
+
+def test_a_study_finds_the_grasps_that_collect_made_of_the_same_recipe(tmp_path):
+    path = small_study(tmp_path)
+    path.write_text(path.read_text().replace("[can, cup]", "[cup]"))
+    study = load_study(path)
+    recipe = study.data_recipe(study.rows[0], quick=False)
+    (tmp_path / "r.yaml").write_text("name: s\nobjects: [cup]\n")
+    assert load_recipe(tmp_path / "r.yaml").sha256() == recipe.sha256()
+    assert recipe.resolved()["robot"]["max_force_n"] == 40.0  # the gripper's own
+
+
 def test_a_reduced_study_may_have_fewer_seeds(tmp_path):
     path = small_study(tmp_path, quick="{seeds: 1}")
     path.write_text(path.read_text().replace("seeds: 1\ntrain", "seeds: 4\ntrain"))
