@@ -145,7 +145,7 @@ def test_what_is_kept_of_the_touch_is_part_of_the_recipe(folder):
     options = recipe.resolved()["dataset"]
     assert options["depth"] == "all"
     assert (options["markers"], options["force_field"]) == (True, [9, 12])
-    assert Recipe.model_validate(recipe.resolved()) == recipe
+    assert Recipe.model_validate(recipe.resolved()).resolved() == recipe.resolved()
     assert recipe.sha256() != plain.sha256()
 
 
