@@ -130,7 +130,7 @@ class Dataset:
     def torch(
         self,
         split: Literal["train", "test"] | None = None,
-        frames: Literal["grasp", "sequence"] = "grasp",
+        frames: Literal["grasp", "pair", "sequence"] = "grasp",
         pad: str | None = None,
         channels: Sequence[str] | None = None,
         transform: Callable[[Any], Any] | None = None,
@@ -138,7 +138,10 @@ class Dataset:
         """The executed grasps for ``torch.utils.data.DataLoader``: (images, label) pairs.
 
         ``split`` is one side of the recipe's split, both by default. ``frames`` is the frame of the
-        moment of ``grasp``, (3, H, W), or all, (T, 3, H, W); float32 in [0, 1]. Of two pads both
+        moment of ``grasp``, (3, H, W), a ``pair``, (6, H, W), or all, (T, 3, H, W); float32 in
+        [0, 1]. The pair is that frame and the one before, each as (image − gel at rest)/255 + 0.5:
+        what the encoders of Sparsh take (Higuera et al. 2024, arXiv 2410.24090; theirs are 80 ms
+        apart, of 320 × 240 px, upright: turn and resize in ``transform``). Of two pads both
         are given, stacked in front in the order of ``pads``: (2, 3, H, W) or (2, T, 3, H, W);
         ``pad`` chooses one. With ``channels``, some of ``rgb``, ``depth_mm``, ``markers_mm`` and
         ``force_field_n`` and of ``views``, a sample is a dictionary of them and of ``label``: a

@@ -25,6 +25,9 @@ class Grasps(Protocol):
     def rgb(self, index: int, pad: str | None = None, frame: int | None = None) -> NDArray[Any]:
         """The images of a grasp, or one of its frames."""
 
+    def reference(self, pad: str | None = None) -> NDArray[Any]:
+        """The image of the undeformed gel."""
+
     def touch(
         self, index: int, name: str, pad: str | None = None, frame: int | None = None
     ) -> NDArray[Any]:
@@ -58,7 +61,7 @@ class TorchGrasps(TorchDataset[Any]):
         transform: Callable[[Any], Any] | None = None,
     ) -> None:
         require_known("split", split or "train", SPLITS, DatasetError)
-        require_known("frames", frames, ("grasp", "sequence"), DatasetError)
+        require_known("frames", frames, ("grasp", "pair", "sequence"), DatasetError)
         self._dataset, self._frames, self._pads = dataset, frames, pads
         self._channels = None if channels is None else tuple(channels)
         self._transform = transform
@@ -94,9 +97,11 @@ class TorchGrasps(TorchDataset[Any]):
     def _values(self, place: int, name: str) -> torch.Tensor:
         """One channel of the sample at a place, float32, of several pads stacked in front."""
         index = int(self.indices[place])
-        frame = int(self._grasp_frame[place]) if self._frames == "grasp" else None
+        frame = None if self._frames == "sequence" else int(self._grasp_frame[place])
         if name in self._dataset.views:
             each = [self._dataset.view(index, name, frame)]
+        elif name == "rgb" and self._frames == "pair":
+            each = [self._pair(index, pad, int(self._grasp_frame[place])) for pad in self._pads]
         elif name == "rgb":
             each = [self._dataset.rgb(index, pad, frame) for pad in self._pads]
         else:
@@ -108,3 +113,13 @@ class TorchGrasps(TorchDataset[Any]):
         if kind == "segmentation":
             return held.long()
         return held.float() / 255.0 if kind == "rgb" else held.float()
+
+    def _pair(self, index: int, pad: str, frame: int) -> NDArray[np.float32]:
+        """The frame and the one before it, (H, W, 6), each less the gel at rest: 127.5 is at rest.
+
+        Before the first frame the gel is at rest.
+        """
+        rest = self._dataset.reference(pad).astype(np.float32)
+        before = self._dataset.rgb(index, pad, frame - 1) if frame else rest
+        both = [self._dataset.rgb(index, pad, frame), before]
+        return np.concatenate([np.clip(one - rest + 127.5, 0, 255) for one in both], axis=-1)

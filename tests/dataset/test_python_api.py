@@ -50,6 +50,26 @@ def test_torch_takes_executed_grasps_of_one_side(toy):
     assert labels.tolist() == [make_sample(k, spec).label for k in (0, 1, 2, 3)]
 
 
+def test_a_pair_is_the_grasp_and_the_frame_before_it_about_the_gel_at_rest(toy):
+    pytest.importorskip("torch")
+    dataset, spec = toy
+    pairs = dataset.torch(frames="pair", split="train")
+    rest = dataset.reference().astype(float)
+    for place in (0, 1, 2):
+        index = int(pairs.indices[place])
+        written, found = make_sample(index, spec), pairs[place][0].numpy()
+        assert found.shape == (6, 24, 32)
+        now = written.grasp_frame
+        rgb = written.pads["left"].rgb.astype(float)
+        for k, picture in enumerate((rgb[now], rgb[now - 1] if now else rest)):
+            expected = np.clip((picture - rest) / 255 + 0.5, 0, 1)
+            np.testing.assert_allclose(
+                found[3 * k : 3 * k + 3].transpose(1, 2, 0), expected, atol=1e-6
+            )
+    two = dataset.torch(frames="pair", channels=["rgb"])
+    assert two[0]["rgb"].shape == (6, 24, 32)
+
+
 def test_a_side_that_is_not_there_is_refused(toy):
     pytest.importorskip("torch")
     with refused(DatasetError):
