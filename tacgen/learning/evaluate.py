@@ -18,7 +18,7 @@ from tacgen.core.records import AXES
 from tacgen.dataset.folder import differences
 from tacgen.dataset.real_grasps import FRAME_UNKNOWN
 from tacgen.learning.checkpoint import ModelCard, load_model
-from tacgen.learning.controls import Tested, control_scores, last_force_rule, score_of
+from tacgen.learning.controls import Tested, control_scores, same_imprint_rule, score_of
 from tacgen.learning.device import choose_device, exact_torch
 from tacgen.learning.grasps import (
     CONFIGURATION_DIGITS,
@@ -114,7 +114,7 @@ def evaluate(
         result["without_touch"] = compared_with(predictions, baseline)
     if isinstance(source, SimulatedGrasps):
         if recipe.model.kind == "sequence":
-            result["last_force_rule"] = last_force_rule(source, tested)
+            result["same_imprint_rule"] = same_imprint_rule(source, tested)
         if controls:
             result["controls"] = control_scores(folder, plan, recipe, source, tested, test.device)
     result["real_is_simulated"] = source_name == "real" and source.is_simulated

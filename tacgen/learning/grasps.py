@@ -125,12 +125,6 @@ class SimulatedGrasps:
         self.n_frames = self.dataset.n_frames
         self.taken_with: Mapping[str, Any] = self.dataset.taken_with(pad)
         self.lift_frame = self.dataset.lift_frames(columns)[rows]
-        self._rows = rows
-
-    def normal_force_n(self) -> NDArray[np.float64]:
-        """Force into the pad's gel in every frame of each grasp, (N, T)."""
-        columns = self.dataset.columns(contact=True, pad=self.pad)
-        return np.asarray(columns["force_normal_n"][self._rows], np.float64)
 
     def frames(self, row: int, frames: Sequence[int]) -> NDArray[np.uint8]:
         """Some tactile images of one grasp, (len(frames), H, W, 3) RGB."""

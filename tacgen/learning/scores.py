@@ -119,9 +119,9 @@ def beside(result: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     found = {f"control, {name}": scores for name, scores in result.get("controls", {}).items()}
     if "without_touch" in result:
         found = {"trees that see only what was commanded": result["without_touch"], **found}
-    if "last_force_rule" in result:
-        rule = "rule: holds unless the last force is below 10 % of that at the grasp"
-        return {rule: result["last_force_rule"], **found}
+    if "same_imprint_rule" in result:
+        rule = "rule: holds while the imprint is that of the grasp (correlation above 0.9)"
+        return {rule: result["same_imprint_rule"], **found}
     return found
 
 

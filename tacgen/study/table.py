@@ -115,10 +115,10 @@ def study_remarks(result: Mapping[str, Any]) -> list[str]:
 def _rules(rows: Iterable[Mapping[str, Any]]) -> list[str]:
     """What the frames that a sequence network saw tell without training."""
     return [
-        f"{row['name']}: without training, the rule that a grasp holds unless the last force is "
-        f"below 10 % of that at the grasp scores {_scores(rule)[0]} ({_scores(rule)[1]})."
+        f"{row['name']}: without training, the rule that a grasp holds while the imprint is that "
+        f"of the grasp (correlation above 0.9) scores {_scores(rule)[0]} ({_scores(rule)[1]})."
         for row in rows
-        if (rule := (row.get("sim") or {}).get("last_force_rule"))
+        if (rule := (row.get("sim") or {}).get("same_imprint_rule"))
     ]
 
 

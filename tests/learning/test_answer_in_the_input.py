@@ -14,6 +14,7 @@ from tacgen.core.errors import DatasetError, LearningError
 from tacgen.dataset import Dataset, PadSample
 from tacgen.dataset.export import export_dataset
 from tacgen.dataset.real_grasps import read_real_grasps
+from tacgen.learning.controls import same_imprint_rule
 from tacgen.learning.evaluate import evaluate
 from tacgen.learning.grasps import RealGraspImages, SimulatedGrasps, frames_until
 from tacgen.learning.network_input import InputSpec, read_input
@@ -101,13 +102,32 @@ def test_only_a_network_that_is_asked_to_sees_the_outcome(runs, data):
         assert words in page.read_text()
 
 
-def test_the_rule_on_the_last_force_stands_beside_networks_of_sequences(runs, data):
-    found = {name: evaluate(run, data=data).get("last_force_rule") for name, run in runs.items()}
+def test_the_rule_on_the_last_imprint_stands_beside_networks_of_sequences(runs, data):
+    found = {name: evaluate(run, data=data).get("same_imprint_rule") for name, run in runs.items()}
     assert found["outcome"]["accuracy"] == 1.0
     # Before the lift every gel is pressed: the rule says success of each.
     (_, missed), (_, right) = found["lift"]["confusion"]
     assert found["lift"]["accuracy"] == right / (right + missed)
     assert found["grasp"] is None
+
+
+def test_the_rule_tells_a_grasp_whose_object_stays_and_slips(tmp_path):
+    def slipping(index: int, spec):
+        sample = lost_when_lifted(index, spec)
+        if sample.label != 0:
+            return sample
+        rgb = sample.pads["left"].rgb.copy()
+        rgb[LIFT_FRAME + 1 :] = np.roll(rgb[LIFT_FRAME], 12, axis=0)
+        felt = replace(sample.pads["left"], rgb=rgb, force_normal_n=np.full(N_FRAMES, 8.0))
+        return replace(sample, pads={"left": felt})
+
+    root = collect(tmp_path / "data", make_spec(24, N_FRAMES, time_s=TIMES_S), slipping)
+    source, shape = SimulatedGrasps(root), REFERENCE.shape[:2]
+    rows = np.arange(len(source.table))
+    assert set(source.table.label) == {0, 1}
+    for size_px in (shape, (24, 32)):
+        spec = InputSpec("sequence", size_px, 5, "raw", shape, until="outcome")
+        assert same_imprint_rule(source, {"all": (rows, spec)})["accuracy"] == 1.0
 
 
 def test_frames_until_the_lift_are_those_not_later(data):

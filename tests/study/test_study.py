@@ -338,18 +338,27 @@ def test_a_reduced_study_may_have_fewer_seeds(tmp_path):
 
 def test_what_touch_adds_is_asked_of_four_worlds_with_all_else_the_same():
     study = load_study("what_touch_adds")
-    recipes = [study.data_recipe(row, quick=False) for row in study.rows]
+    rows, elsewhere = study.rows[:16], study.rows[16:]
+    recipes = [study.data_recipe(row, quick=False) for row in rows]
     spreads = [recipe.randomize.model_dump(exclude_defaults=True) for recipe in recipes[::4]]
     pose = {"position_mm": (8.0, 8.0, 0.0), "yaw_rad": 0.262}
     assert spreads == [{}, {}, pose, {"friction_relative": 0.4, "center_of_mass_mm": 10.0}]
     assert len({recipe.sha256() for recipe in recipes}) == 3
-    for row in study.rows:
+    for row in rows:
         tested, trained = study.test_recipe(row, quick=False), study.data_recipe(row, quick=False)
         new = {one.name for one in tested.objects} - {one.name for one in trained.objects}
         assert len(new) == (6 if row.name.startswith("object unknown") else 0)
-    trained = [study.train_recipe(row, quick=False).input.channels for row in study.rows]
+    trained = [study.train_recipe(row, quick=False).input.channels for row in rows]
     assert trained[3::4] == [
         ("image", "commanded", "object"),
         ("image", "commanded"),
         *[("image", "commanded", "object")] * 2,
     ]
+    # Networks of the unknown pose, tested in other worlds with the same objects.
+    for row, kind in zip(elsewhere, itertools.cycle((rows[9], rows[11])), strict=False):
+        there = study.test_recipe(row, quick=False)
+        assert study.train_recipe(row, quick=False) == study.train_recipe(kind, quick=False)
+        assert study.data_recipe(row, quick=False) == recipes[8]
+        assert [one.name for one in there.objects] == [one.name for one in recipes[8].objects]
+        assert there.randomize.position_mm == (8.0, 8.0, 0.0)
+    assert len({study.test_recipe(row, quick=False).sha256() for row in elsewhere}) == 4
