@@ -386,10 +386,11 @@ def baseline_predictions(
     """What trees predict that know what was commanded alone, of the same grasps.
 
     They learn from the training grasps of the models ``names``; empty where the run does not tell
-    how these ended.
+    how these ended, or the grasps not what was commanded.
     """
     models = [plan["models"][name] for name in names]
-    if not all(model.get("labels") for model in models):
+    told = all(np.isfinite(part.table.commanded()).all() for part in predictions)
+    if not told or not all(model.get("labels") for model in models):
         return []
     return [
         replace(part, probabilities=predicted_by_trees(model, part.table), frames=())

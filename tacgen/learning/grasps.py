@@ -227,7 +227,14 @@ class RealGraspImages:
     def touch(self, row: int, frames: Sequence[int], name: str) -> NDArray[np.floating]:
         """What was ``COMMANDED``; raises ``LearningError`` of what a folder of pictures lacks."""
         if name == COMMANDED:
-            return self.table.commanded()[[row] * len(frames)]
+            values = self.table.commanded()[row]
+            if lacking := [AXES[k] for k in np.flatnonzero(np.isnan(values))]:
+                msg = (
+                    f"{self.folder}: grasp {str(self.table.ids[row])!r} has no {', '.join(lacking)}, "
+                    "which the network also sees; add what was commanded to grasps.csv"
+                )
+                raise LearningError(msg)
+            return np.tile(values, (len(frames), 1))
         msg = f"{self.folder}: holds images alone, no {name}, which the network also needs"
         raise LearningError(msg)
 

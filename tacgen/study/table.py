@@ -108,6 +108,7 @@ def study_remarks(result: Mapping[str, Any]) -> list[str]:
         if row["real_problem"]:
             column = f"NOT tested for the column {_tested_on(result)}"
             remarks.append(f"{row['name']}: {column}. {row['real_problem']}")
+    remarks += [f"{r['name']}: {note}" for r in rows for note in r.get("sim", {}).get("notes", ())]
     remarks += [f"{r['name']}: contact law from {f}." for r in rows if (f := r["contact_file"])]
     return [*remarks, *result["notes"]]
 

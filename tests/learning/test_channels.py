@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from tests.messages import refused
@@ -32,7 +33,15 @@ from tacgen.learning.networks import TouchedImages, build_network  # noqa: E402
 from tacgen.learning.train import train  # noqa: E402
 from tacgen.learning.training_recipe import TrainRecipe, load_train_recipe  # noqa: E402
 
-from .conftest import REFERENCE, SENSOR, collect, make_sample, make_spec, recipe_of  # noqa: E402
+from .conftest import (  # noqa: E402
+    REFERENCE,
+    SENSOR,
+    collect,
+    make_sample,
+    make_spec,
+    recipe_of,
+    write_real,
+)
 
 REST_MM = np.array([[x, y] for y in (-2.0, 2.0) for x in (-3.0, 0.0, 3.0)])
 SHAPE = (3, 4)
@@ -251,3 +260,18 @@ def test_a_network_learns_from_what_was_commanded_and_the_predictor_takes_it(
     found = tacgen.Predictor(tmp_path / "run").predict(given, touch)
     wrong = ((found >= 0.5) != (source.table.label[rows] == 1)).sum()
     assert wrong == len(result["misclassified"])
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("small_backbone")
+def test_grasps_that_do_not_tell_what_was_commanded_are_not_compared_with_it(commanded, tmp_path):
+    real = write_real(tmp_path / "real")
+    told = pd.read_csv(real / "grasps.csv")
+    told.drop(columns=["force_n", "y_mm"]).to_csv(real / "grasps.csv", index=False)
+    for channels in (["touch"], ["touch", "commanded"]):
+        run = tmp_path / "_".join(channels)
+        recipe = recipe_of("single", input={"channels": channels}, training={"epochs": 1})
+        train(recipe, commanded, run)
+    assert "without_touch" not in evaluate(tmp_path / "touch", real=real)
+    with refused(LearningError):
+        evaluate(tmp_path / "touch_commanded", real=real)

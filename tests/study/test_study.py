@@ -294,7 +294,15 @@ def test_a_row_may_be_tested_on_other_grasps_than_it_is_trained_on(
         baseline = {"accuracy": 0.8, "auroc": 0.85, "ece": 0.1, "n": 12}
         gain = {"gain": 0.1, "gain_interval": [-0.1, 0.3]}
         full = {**scores, "auroc": 0.95, "ece": 0.05, "without_touch": baseline | gain}
-        return {**full, "data": str(data), "real_is_simulated": False, "by_object": {"mug": scores}}
+        notes = ["x: NEW to the network: the object mug"]
+        data = str(data)
+        return {
+            **full,
+            "data": data,
+            "notes": notes,
+            "real_is_simulated": False,
+            "by_object": {"mug": scores},
+        }
 
     monkeypatch.setattr("tacgen.study.run.evaluate", evaluate)
     result = run_study(study, tmp_path / "out", RealData())
@@ -304,6 +312,7 @@ def test_a_row_may_be_tested_on_other_grasps_than_it_is_trained_on(
     text = (tmp_path / "out/table.md").read_text()
     figures = "0.900 / 0.950 / 0.050 | 0.800 / 0.850 / 0.100 | +0.100 [-0.100, +0.300] | 0.50"
     assert f"| single image | {figures} |" in text
+    assert "* single image: x: NEW to the network: the object mug" in text
 
 
 def test_rows_that_differ_in_what_they_are_tested_on_share_their_networks(tmp_path, no_networks):
