@@ -1,6 +1,7 @@
 """The table of a study, as Markdown and as a page."""
 
 from collections.abc import Iterable, Mapping
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +25,7 @@ OTHER_SIMULATION = "other simulation"
 
 def write_study(result: Mapping[str, Any], out: Path) -> None:
     """Write ``table.md`` and ``index.html``."""
-    rows = [_row(row) for row in result["rows"]]
-    header = _header(result)
+    header, rows = _filled(_header(result), [_row(row) for row in result["rows"]])
     object_header, object_rows = _by_object(result)
     beside = [_beside_baseline(row) for row in result["rows"]]
     beside = [cells for cells in beside if cells]
@@ -165,6 +165,14 @@ def _header(result: Mapping[str, Any]) -> tuple[str, ...]:
     interval = "95 % interval"
     tested = ("sim-to-sim", interval, "n", _tested_on(result), interval, "n")
     return ("variant", "network", "sees until", *tested, "paper, sim", "paper, real")
+
+
+def _filled(
+    header: tuple[str, ...], rows: list[tuple[object, ...]]
+) -> tuple[tuple[str, ...], list[tuple[object, ...]]]:
+    """The columns in which some row says something."""
+    filled = [any(row[k] != MISSING for row in rows) for k in range(len(header))]
+    return tuple(compress(header, filled)), [tuple(compress(row, filled)) for row in rows]
 
 
 def _row(row: Mapping[str, Any]) -> tuple[object, ...]:
