@@ -229,9 +229,10 @@ class RealGraspImages:
         if name == COMMANDED:
             values = self.table.commanded()[row]
             if lacking := [AXES[k] for k in np.flatnonzero(np.isnan(values))]:
+                of, what = str(self.table.ids[row]), ", ".join(lacking)
                 msg = (
-                    f"{self.folder}: grasp {str(self.table.ids[row])!r} has no {', '.join(lacking)}, "
-                    "which the network also sees; add what was commanded to grasps.csv"
+                    f"{self.folder}: grasp {of!r} has no {what}, which the network also sees; "
+                    "add what was commanded to grasps.csv"
                 )
                 raise LearningError(msg)
             return np.tile(values, (len(frames), 1))
