@@ -42,13 +42,17 @@ def recipe_kinds() -> dict[str, tuple[type[BaseModel], Callable[[str], BaseModel
 @common.recipe_app.command("show")
 def recipe_show(recipe: common.RecipeArgument, json_output: common.JsonFlag = False) -> None:
     """Print a recipe with every setting: what it extends and all defaults filled in."""
+    from tacgen.collection.recipe import Recipe
     from tacgen.core.resources import find_recipe
     from tacgen.core.schema import kind_of, read_yaml
 
     path = find_recipe(recipe)
     kinds = {model.__name__: (name, load) for name, (model, load) in recipe_kinds().items()}
     name, load = kinds.get(kind_of(read_yaml(path).data), kinds["Recipe"])
-    settings = load(str(path)).model_dump(mode="json")
+    loaded = load(str(path))
+    settings = loaded.model_dump(mode="json")
+    if isinstance(loaded, Recipe):
+        settings |= loaded.resolved()
     text = yaml.safe_dump(settings, sort_keys=False, allow_unicode=True, default_flow_style=None)
     common.print_result(settings, text.rstrip("\n"), json_output)
     options = {"collect": "--out data", "train": "--data data --out run"}

@@ -19,7 +19,6 @@ from pydantic import (
     PositiveFloat,
     PositiveInt,
     ValidationError,
-    field_serializer,
 )
 
 from tacgen.collection.scene_section import Scene
@@ -169,10 +168,6 @@ class Robot(Located):
     def largest_force_n(self) -> float:
         """Largest force of a finger."""
         return self.max_force_n or self.spec().gripper.force_range_n[1]
-
-    @field_serializer("max_force_n")
-    def _written_out(self, _given: float | None) -> float:
-        return self.largest_force_n
 
 
 class Contact(Located):
@@ -417,6 +412,7 @@ class Recipe(Section):
         found = self.model_dump(
             mode="json", exclude={"physics": _BELONGS_TO_ROBOT, "cluster": True}
         )
+        found["robot"]["max_force_n"] = self.robot.largest_force_n
         if beside is not None:
             _name_from(beside, found["contact"], "file", self.contact, contact_law_path)
             _name_from(beside, found["grid"], "file", self.grid, _grasp_list_path)

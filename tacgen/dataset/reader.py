@@ -141,8 +141,9 @@ class Dataset:
         moment of ``grasp``, (3, H, W), a ``pair``, (6, H, W), or all, (T, 3, H, W); float32 in
         [0, 1]. The pair is that frame and the one before, each as (image − gel at rest)/255 + 0.5:
         what the encoders of Sparsh take (Higuera et al. 2024, arXiv 2410.24090; theirs are 80 ms
-        apart, of 320 × 240 px, upright: turn and resize in ``transform``). Of two pads both
-        are given, stacked in front in the order of ``pads``: (2, 3, H, W) or (2, T, 3, H, W);
+        apart, 320 px high and 240 wide: turn and resize in ``transform``). Of two pads both are
+        given, stacked in front in the order of ``pads``: (2, 3, H, W), (2, 6, H, W) or
+        (2, T, 3, H, W), of a camera the frame of the grasp;
         ``pad`` chooses one. With ``channels``, some of ``rgb``, ``depth_mm``, ``markers_mm`` and
         ``force_field_n`` and of ``views``, a sample is a dictionary of them and of ``label``: a
         camera's ``rgb`` as above, its segmentation int64, the others float32 as ``touch`` gives

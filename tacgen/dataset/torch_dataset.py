@@ -75,6 +75,12 @@ class TorchGrasps(TorchDataset[Any]):
         self.indices = columns["index"][chosen]
         self.labels = torch.as_tensor(columns["label"][chosen].astype(np.int64))
         self._grasp_frame = columns["grasp_frame"][chosen]
+        if frames == "pair" and (self._grasp_frame < 1).any():
+            msg = (
+                f"{dataset.root}: no frame before that of the grasp makes a pair with it; collect "
+                "it with frames: {mode: sequence}"
+            )
+            raise DatasetError(msg)
         for name in self._channels or ():
             require_known("channel", name, ("rgb", *TOUCH, *dataset.views), DatasetError)
             self._values(0, name)  # which says what the dataset does not keep
@@ -115,11 +121,7 @@ class TorchGrasps(TorchDataset[Any]):
         return held.float() / 255.0 if kind == "rgb" else held.float()
 
     def _pair(self, index: int, pad: str, frame: int) -> NDArray[np.float32]:
-        """The frame and the one before it, (H, W, 6), each less the gel at rest: 127.5 is at rest.
-
-        Before the first frame the gel is at rest.
-        """
+        """The frame and the one before it, (H, W, 6), each less the gel at rest, of grey 127.5."""
         rest = self._dataset.reference(pad).astype(np.float32)
-        before = self._dataset.rgb(index, pad, frame - 1) if frame else rest
-        both = [self._dataset.rgb(index, pad, frame), before]
+        both = [self._dataset.rgb(index, pad, one) for one in (frame, frame - 1)]
         return np.concatenate([np.clip(one - rest + 127.5, 0, 255) for one in both], axis=-1)

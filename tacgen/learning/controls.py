@@ -22,16 +22,13 @@ from tacgen.learning.network_input import InputSpec, frames_of, resized
 from tacgen.learning.parameter_baseline import forest
 from tacgen.learning.predictions import Predictions, predict
 from tacgen.learning.run_folder import RunFolder
-from tacgen.learning.scores import score
+from tacgen.learning.scores import SAME_IMPRINT, score
 from tacgen.learning.splits import ModelPlan, seed_of
 from tacgen.learning.train import train_one
 from tacgen.learning.training_recipe import TrainRecipe
 
 CONTROL_EPOCHS = 5
 """Passes over the training grasps: what tells nothing is not learnt in more of them either."""
-SAME_IMPRINT = 0.9
-"""Correlation of the last frame's imprint with that at the moment of grasp: with less the object is
-gone, or has slipped or turned. Chosen on `paper_table`'s scissors and strawberry."""
 SHUFFLES = 3
 """Permutations of the labels: where images are of two kinds, one alone is right of all or none."""
 _STREAM_SHUFFLE = 30  # keeps the random numbers of one seed apart

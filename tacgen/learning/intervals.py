@@ -27,7 +27,8 @@ ScoresByObject = Mapping[str, Mapping[str, float]]
 def over_seeds(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """The results of one row's seeds as one: mean accuracies with ``interval_over_seeds``.
 
-    ``seeds`` are the accuracies; what else is in a result is that of the first seed.
+    ``seeds`` are the accuracies, ``notes`` those of all; what else is in a result is that of the
+    first seed.
     """
     names = results[0]["by_object"]
     parts = {name: mean_scores([one["by_object"][name] for one in results]) for name in names}
@@ -35,6 +36,7 @@ def over_seeds(results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     found = _mean_gap(results) if "sim_to_real_gap" in results[0] else {}
     if "without_touch" in results[0]:
         found["without_touch"] = _mean_gain([one["without_touch"] for one in results])
+    found["notes"] = list(dict.fromkeys(n for one in results for n in one.get("notes", ())))
     return dict(results[0]) | mean_scores(results) | found | {"by_object": parts, "seeds": seeds}
 
 

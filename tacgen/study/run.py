@@ -165,7 +165,8 @@ class _StudyRun:
             friction = self._fitted_friction(recipe, self.real.calibration)
             recipe = _with_friction(recipe, friction)
         data = self.out / "data" / recipe.sha256()[:12]
-        place = self.out / "runs" / run_folder_name(self._first_trained_as(row).name)
+        trained_as = self._first_trained_as(row).name
+        place = self.out / "runs" / run_folder_name(trained_as)
         trainings = self.study.seeded(training, quick=self.quick)
         runs = [(one, place / f"seed_{one.seed}") for one in trainings]
         print_status(f"{row.name}: collecting into {data}")
@@ -181,6 +182,7 @@ class _StudyRun:
             "published": row.published.model_dump(),
             "objects": [entry.object_name for entry in recipe.objects],
             "kind": training.model.kind,
+            "networks_of": trained_as,
             "seeds": len(trainings),
             "contact_law": recipe.contact.law,
             "input_px": list(training.input.size_px),

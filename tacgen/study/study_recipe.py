@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, Field, ValidationError
 
 from tacgen.collection.recipe import Recipe
-from tacgen.core.errors import RecipeError
+from tacgen.core.errors import RecipeError, TacgenError
 from tacgen.core.schema import (
     UNKNOWN_KEY,
     Section,
@@ -226,7 +226,11 @@ def _row_problems(study: Study, source: YamlSource) -> Iterator[str]:
     ]
     for (i, row), (model, make), quick in product(enumerate(study.rows), makers, (False, True)):
         try:
-            make(row, quick=quick)
+            made = make(row, quick=quick)
+            if isinstance(made, Recipe):
+                made.robot.spec()
+        except TacgenError as error:
+            yield source.problem(("rows", i), f"cannot be used: robot: {error}")
         except ValidationError as error:
             for found in error.errors():
                 where = ".".join(map(str, found["loc"])) or "the recipe"

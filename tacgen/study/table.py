@@ -7,6 +7,7 @@ from typing import Any
 
 from tacgen.core.files import write_text
 from tacgen.learning.reports import started_from
+from tacgen.learning.scores import THE_RULE
 from tacgen.report.formatting import MISSING
 from tacgen.report.page import table_section, text_section, write_page
 
@@ -106,9 +107,13 @@ def study_remarks(result: Mapping[str, Any]) -> list[str]:
             what = "tested" if row["weights"] else "trained"
             remarks.append(f"{row['name']}: NOT {what}. {row['problem']}")
         if row["real_problem"]:
-            column = f"NOT tested for the column {_tested_on(result)}"
-            remarks.append(f"{row['name']}: {column}. {row['real_problem']}")
-    remarks += [f"{r['name']}: {note}" for r in rows for note in r.get("sim", {}).get("notes", ())]
+            remarks.append(
+                f"{row['name']}: NOT tested for {_tested_on(result)}. {row['real_problem']}"
+            )
+        scored = [row[source] for source in ("sim", "real") if source in row]
+        remarks += [f"{row['name']}: {note}" for one in scored for note in one.get("notes", ())]
+        if (trained_as := row.get("networks_of", row["name"])) != row["name"]:
+            remarks.append(f"{row['name']}: the networks of {trained_as}.")
     remarks += [f"{r['name']}: contact law from {f}." for r in rows if (f := r["contact_file"])]
     return [*remarks, *result["notes"]]
 
@@ -116,8 +121,8 @@ def study_remarks(result: Mapping[str, Any]) -> list[str]:
 def _rules(rows: Iterable[Mapping[str, Any]]) -> list[str]:
     """What the frames that a sequence network saw tell without training."""
     return [
-        f"{row['name']}: without training, the rule that a grasp holds while the imprint is that "
-        f"of the grasp (correlation above 0.9) scores {_scores(rule)[0]} ({_scores(rule)[1]})."
+        f"{row['name']}: without training, the rule that a grasp {THE_RULE} scores "
+        f"{_scores(rule)[0]} ({_scores(rule)[1]})."
         for row in rows
         if (rule := (row.get("sim") or {}).get("same_imprint_rule"))
     ]

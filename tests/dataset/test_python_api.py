@@ -1,5 +1,7 @@
 """A dataset in a user's own hands: indexing, slices, what it prints, torch."""
 
+from dataclasses import replace
+
 import h5py
 import hdf5plugin  # noqa: F401  (registers the filters)
 import numpy as np
@@ -61,13 +63,27 @@ def test_a_pair_is_the_grasp_and_the_frame_before_it_about_the_gel_at_rest(toy):
         assert found.shape == (6, 24, 32)
         now = written.grasp_frame
         rgb = written.pads["left"].rgb.astype(float)
-        for k, picture in enumerate((rgb[now], rgb[now - 1] if now else rest)):
+        for k, picture in enumerate((rgb[now], rgb[now - 1])):
             expected = np.clip((picture - rest) / 255 + 0.5, 0, 1)
             np.testing.assert_allclose(
                 found[3 * k : 3 * k + 3].transpose(1, 2, 0), expected, atol=1e-6
             )
-    two = dataset.torch(frames="pair", channels=["rgb"])
-    assert two[0]["rgb"].shape == (6, 24, 32)
+    assert dataset.torch(frames="pair", channels=["rgb"])[0]["rgb"].shape == (6, 24, 32)
+
+
+def test_two_pads_have_a_pair_each_and_a_single_frame_has_none(tmp_path, monkeypatch):
+    pytest.importorskip("torch")
+    spec = make_spec(pads=("left", "right"))
+    collect_toy(tmp_path / "two", spec)
+    assert Dataset(tmp_path / "two").torch(frames="pair")[0][0].shape == (2, 6, 24, 32)
+
+    def first_frame(index, spec):
+        return replace(make_sample(index, spec), grasp_frame=0)
+
+    monkeypatch.setattr("tests.dataset.conftest.make_sample", first_frame)
+    collect_toy(tmp_path / "single", make_spec())
+    with refused(DatasetError):
+        Dataset(tmp_path / "single").torch(frames="pair")
 
 
 def test_a_side_that_is_not_there_is_refused(toy):

@@ -130,6 +130,12 @@ def test_a_misspelt_key_of_a_row_s_recipes_is_told_with_those_there_are(tmp_path
         load_study(path)
 
 
+def test_a_row_with_a_gripper_that_is_not_there_is_told_before_anything_is_collected(tmp_path):
+    path = small_study(tmp_path, ", data: {robot: {name: nosuch}}")
+    with refused(RecipeError):
+        load_study(path)
+
+
 def test_rows_whose_runs_would_share_a_folder_are_told(tmp_path):
     path = tmp_path / "s.yaml"
     path.write_text("name: s\nobjects: [cup]\nrows:\n- name: one, two\n- name: One (two)\n")
@@ -325,6 +331,7 @@ def test_rows_that_differ_in_what_they_are_tested_on_share_their_networks(tmp_pa
     )
     run_study(load_study(path), tmp_path / "out", RealData(), rows=["first", "elsewhere"])
     assert no_networks == ["first", "first"]
+    assert "* elsewhere: the networks of first." in (tmp_path / "out/table.md").read_text()
 
 
 def test_a_study_finds_the_grasps_that_collect_made_of_the_same_recipe(tmp_path):

@@ -57,7 +57,7 @@ def test_real_grasps_of_other_objects_leave_the_simulated_result_in_the_table(
     assert "has grasps of mug" in row["real_problem"]
     for name in ("table.md", "index.html"):
         text = (out / name).read_text()
-        assert "single image: NOT tested for the column sim-to-real. " in text
+        assert "single image: NOT tested for sim-to-real. " in text
         assert "NOT trained" not in text
         assert f"{row['sim']['accuracy']:.3f}" in text
     with refused(LearningError):
