@@ -354,7 +354,7 @@ def test_a_reduced_study_may_have_fewer_seeds(tmp_path):
 
 def test_what_touch_adds_is_asked_of_four_worlds_with_all_else_the_same():
     study = load_study("what_touch_adds")
-    rows, elsewhere = study.rows[:16], study.rows[16:]
+    rows, lift, elsewhere = study.rows[:16], study.rows[16], study.rows[17:]
     recipes = [study.data_recipe(row, quick=False) for row in rows]
     spreads = [recipe.randomize.model_dump(exclude_defaults=True) for recipe in recipes[::4]]
     pose = {"position_mm": (8.0, 8.0, 0.0), "yaw_rad": 0.262}
@@ -370,6 +370,12 @@ def test_what_touch_adds_is_asked_of_four_worlds_with_all_else_the_same():
         ("image", "commanded"),
         *[("image", "commanded", "object")] * 2,
     ]
+    lifted, shown = study.test_recipe(lift, quick=False), study.data_recipe(lift, quick=False)
+    assert study.train_recipe(lift, quick=False) == study.train_recipe(rows[14], quick=False)
+    assert shown == recipes[14]
+    assert not {one.name for one in lifted.objects} & {one.name for one in shown.objects}
+    assert len(lifted.objects) == 6
+    assert not lifted.randomize.friction_relative
     # Networks of the unknown pose, tested in other worlds with the same objects.
     for row, kind in zip(elsewhere, itertools.cycle((rows[9], rows[11])), strict=False):
         there = study.test_recipe(row, quick=False)
