@@ -40,8 +40,8 @@ Tested = Mapping[str, tuple[NDArray[np.int64], InputSpec]]
 def same_imprint_rule(source: SimulatedGrasps, tested: Tested) -> dict[str, Any]:
     """Scores of a rule without training: a grasp holds whose imprint is still that of the grasp.
 
-    The last of the frames that the network sees is compared with that of the moment of grasp, each
-    less the gel at rest, at the network's size.
+    The last of the frames that the network sees, which are to show the lift, is compared with that
+    of the moment of grasp, each less the gel at rest, at the network's size.
     """
     labels, held = [], []
     for rows, spec in tested.values():

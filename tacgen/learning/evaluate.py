@@ -113,7 +113,7 @@ def evaluate(
     if baseline := baseline_predictions(plan, predictions, list(tested)):
         result["without_touch"] = compared_with(predictions, baseline)
     if isinstance(source, SimulatedGrasps):
-        if recipe.model.kind == "sequence":
+        if result["until"] == "outcome":
             result["same_imprint_rule"] = same_imprint_rule(source, tested)
         if controls:
             result["controls"] = control_scores(folder, plan, recipe, source, tested, test.device)
