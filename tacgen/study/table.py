@@ -1,7 +1,7 @@
 """The table of a study, as Markdown and as a page."""
 
 from collections.abc import Iterable, Mapping
-from itertools import compress
+from itertools import chain, compress
 from pathlib import Path
 from typing import Any
 
@@ -199,7 +199,12 @@ def _accuracy(value: float | None) -> str:
 
 
 def _by_object(result: Mapping[str, Any]) -> tuple[tuple[str, ...], list[tuple[object, ...]]]:
-    names = sorted({name for row in result["rows"] for name in row["objects"]})
+    scored = [row.get(source) or {} for row in result["rows"] for source in ("sim", "real")]
+    of = [
+        *(row["objects"] for row in result["rows"]),
+        *(one.get("by_object", ()) for one in scored),
+    ]
+    names = sorted(set(chain(*of)))
     sources = ["sim"]
     if result["real"] is not None or any("real" in row for row in result["rows"]):
         sources.append("real")

@@ -319,6 +319,7 @@ def test_a_row_may_be_tested_on_other_grasps_than_it_is_trained_on(
     figures = "0.900 / 0.950 / 0.050 | 0.800 / 0.850 / 0.100 | +0.100 [-0.100, +0.300] | 0.50"
     assert f"| single image | {figures} |" in text
     assert "* single image: x: NEW to the network: the object mug" in text
+    assert "| variant | tested on | can | cup | mug |" in text
 
 
 def test_rows_that_differ_in_what_they_are_tested_on_share_their_networks(tmp_path, no_networks):
