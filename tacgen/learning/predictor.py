@@ -166,6 +166,9 @@ class Predictor:
                 if frames.shape != (count, *channel.shape):
                     msg = f"{name} of a grasp is {frames.shape}, not {(count, *channel.shape)}"
                     raise LearningError(msg)
+                if not np.isfinite(frames).all():
+                    msg = f"{name} of a grasp has numbers that are not finite; give all of them"
+                    raise LearningError(msg)
                 kept.append(frames[chosen_frames(self.spec, count, 0)])
         return found
 

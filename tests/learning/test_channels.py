@@ -260,6 +260,10 @@ def test_a_network_learns_from_what_was_commanded_and_the_predictor_takes_it(
     found = tacgen.Predictor(tmp_path / "run").predict(given, touch)
     wrong = ((found >= 0.5) != (source.table.label[rows] == 1)).sum()
     assert wrong == len(result["misclassified"])
+    unknown = np.array(touch["commanded"])
+    unknown[0, 1] = np.nan
+    with refused(LearningError):
+        tacgen.Predictor(tmp_path / "run").predict(given, touch | {"commanded": list(unknown)})
 
 
 @pytest.mark.slow
