@@ -389,8 +389,8 @@ def baseline_predictions(
     how these ended, or the grasps not what was commanded.
     """
     models = [plan["models"][name] for name in names]
-    told = all(np.isfinite(part.table.commanded()).all() for part in predictions)
-    if not told or not all(model.get("labels") for model in models):
+    is_known = all(np.isfinite(part.table.commanded()).all() for part in predictions)
+    if not is_known or not all(model.get("labels") for model in models):
         return []
     return [
         replace(part, probabilities=predicted_by_trees(model, part.table), frames=())

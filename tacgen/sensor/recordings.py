@@ -118,7 +118,7 @@ def open_camera(name: str, background_rgb: NDArray[np.uint8] | None) -> Recordin
     cv2.utils.logging.setLogLevel(0)  # what it says of a missing camera is said below
     pictures = _as_they_come(name, cv2.VideoCapture(int(name) if name.isdecimal() else name))
     if background_rgb is None:
-        at_rest = [next(pictures).rgb]  # a camera that is not there is told of first
+        at_rest = [next(pictures).rgb]  # a missing camera is reported first
         print_status(f"camera {name}: touch nothing: {REST_PICTURES} pictures of the gel at rest")
         at_rest += [picture.rgb for picture in islice(pictures, REST_PICTURES - 1)]
         if len(at_rest) < REST_PICTURES:
